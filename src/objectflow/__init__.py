@@ -1,0 +1,1 @@
+"""Moving objects, rigid motions and dense scene flow from two RGB-D frames."""

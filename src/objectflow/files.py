@@ -1,0 +1,118 @@
+"""Files that appear whole or not at all: write beside, fsync, rename."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from objectflow.errors import ResultError, StorageError
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that `path` holds either its old content or all of `data`, even after a power cut.
+
+    Raises:
+        StorageError: the disk refused (no room, no permission); nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        _fsync_folder(path.parent)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
+        raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text with the guarantee of `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+@contextmanager
+def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Give a temporary folder to fill; rename it to `path` at the end, or remove it if anything failed.
+
+    Args:
+        path: the folder to be made. It may exist if it is empty.
+        replace: an existing folder with content is swapped out and removed once the new one is in place.
+            The caller checks that its content may go.
+
+    Raises:
+        ResultError: `path` is a file, or a folder with content and `replace` is false.
+        StorageError: the disk refused.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise ResultError(f"{path} is a file, not a folder: name another output folder")
+    if path.is_dir() and not replace and any(path.iterdir()):
+        raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
+    made_parents: list[Path] = []
+    temporary: Path | None = None
+    try:
+        made_parents = _make_parents(path.parent)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+        temporary.chmod(0o755)
+        yield temporary
+        for file in temporary.iterdir():
+            _fsync_file(file)
+        _swap_in(temporary, path)
+    except BaseException as error:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+        for parent in reversed(made_parents):
+            with suppress(OSError):
+                parent.rmdir()
+        if isinstance(error, OSError):
+            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        raise
+
+
+def _swap_in(temporary: Path, path: Path) -> None:
+    """Rename `temporary` to `path`; an older folder there survives until the new one has its name."""
+    if path.is_dir() and any(path.iterdir()):
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+        os.rename(path, old)
+        try:
+            os.rename(temporary, path)
+        except OSError:
+            os.rename(old, path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        os.rename(temporary, path)
+    _fsync_folder(path.parent)
+
+
+def _make_parents(folder: Path) -> list[Path]:
+    """Make the missing parents of a folder and list them, outermost first."""
+    missing: list[Path] = []
+    while not folder.exists():
+        missing.append(folder)
+        folder = folder.parent
+    missing.reverse()
+    for parent in missing:
+        parent.mkdir()
+    return missing
+
+
+def _fsync_file(path: Path) -> None:
+    if path.is_file():
+        with open(path, "rb") as file:
+            os.fsync(file.fileno())
+
+
+def _fsync_folder(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
