@@ -49,11 +49,7 @@ class Camera:
                 raise CameraError(f"camera {name} must be a number, not {value!r}")
             if not math.isfinite(value):
                 raise CameraError(f"camera {name} must be finite, not {value}")
-        if (
-            int(self.width) != self.width
-            or int(self.height) != self.height
-            or min(self.width, self.height) < 1
-        ):
+        if int(self.width) != self.width or int(self.height) != self.height or min(self.width, self.height) < 1:
             raise CameraError(f"camera size must be whole and positive, not {self.width}x{self.height}")
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
@@ -167,9 +163,7 @@ class RgbdFrame:
     def __post_init__(self) -> None:
         color, depth, where = self.color, self.depth, self.name
         if not isinstance(self.camera, Camera):
-            raise FrameError(
-                f"{where}: camera must be an objectflow.Camera, not {type(self.camera).__name__}"
-            )
+            raise FrameError(f"{where}: camera must be an objectflow.Camera, not {type(self.camera).__name__}")
         if not isinstance(color, np.ndarray) or color.ndim != 3 or color.shape[2] != 3:
             raise FrameError(f"{where}: colour must be an (H, W, 3) array, not {_describe(color)}")
         if color.dtype != np.uint8:
@@ -225,9 +219,7 @@ class RgbdFrame:
         if (width, height) == (self.camera.width, self.camera.height):
             return self
         shrink = width < self.camera.width
-        color = cv2.resize(
-            self.color, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR
-        )
+        color = cv2.resize(self.color, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
         # cv2's own nearest neighbour takes the top-left pixel of a block, half a block off; these are the centres.
         rows = np.clip(((np.arange(height) + 0.5) * self.camera.height / height).astype(int), 0, None)
         columns = np.clip(((np.arange(width) + 0.5) * self.camera.width / width).astype(int), 0, None)
@@ -329,9 +321,7 @@ def _check_depth_values(depth: NDArray[np.floating[Any]], where: str) -> None:
         count = int((~np.isfinite(depth)).sum())
         raise FrameError(f"{where}: {count} depth values are NaN or infinite: mark missing depth with 0")
     if (depth < 0).any():
-        raise FrameError(
-            f"{where}: {int((depth < 0).sum())} depth values are negative: mark missing depth with 0"
-        )
+        raise FrameError(f"{where}: {int((depth < 0).sum())} depth values are negative: mark missing depth with 0")
     if not (depth > 0).any():
         raise FrameError(f"{where}: depth is missing everywhere (all zero)")
     median = float(np.median(depth[depth > 0]))
@@ -340,9 +330,7 @@ def _check_depth_values(depth: NDArray[np.floating[Any]], where: str) -> None:
             f"{where}: the median depth is {median:.0f} m: is it in millimetres? Check the depth scale (units a metre)"
         )
     if median < MIN_MEDIAN_DEPTH:
-        raise FrameError(
-            f"{where}: the median depth is {median * 1000:.2g} mm: check the depth scale (units a metre)"
-        )
+        raise FrameError(f"{where}: the median depth is {median * 1000:.2g} mm: check the depth scale (units a metre)")
 
 
 def _describe(value: object) -> str:

@@ -126,7 +126,7 @@ def inverse(a_T_b: ArrayLike) -> Array:
 def transform(a_T_b: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
     """Map points (..., 3) in frame b to frame a with one (4, 4) transform; keeps the points' dtype."""
     T = np.asarray(a_T_b).astype(points.dtype)
-    return points @ T[:3, :3].T + T[:3, 3]
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
 def rotation_angle(rotation: ArrayLike) -> Array:

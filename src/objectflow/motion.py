@@ -152,9 +152,7 @@ class SceneMotion:
                 seconds=float(summary["seconds"]),
             )
         except FileNotFoundError as error:
-            raise ResultError(
-                f"{folder}: not a result folder: {Path(error.filename).name} is missing"
-            ) from None
+            raise ResultError(f"{folder}: not a result folder: {Path(error.filename).name} is missing") from None
         except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, cv2.error) as error:
             raise ResultError(f"{folder}: not a result folder that can be read: {error}") from error
 
