@@ -1,0 +1,81 @@
+"""The one interface of every method, and `load("name")`."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import importlib
+from typing import Any, NamedTuple, Protocol, cast
+
+from objectflow.errors import MethodError
+from objectflow.frame import RgbdFrame
+from objectflow.motion import SceneMotion
+
+DEFAULT_METHOD = "consensus"
+
+
+class Estimator(Protocol):
+    """Two frames in, the motion of the scene out, on the pixels of `curr`."""
+
+    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        """Estimate the motion from `curr` back to `prev`.
+
+        Raises:
+            FrameError: the frames differ in size or intrinsics.
+        """
+
+
+class MethodEntry(NamedTuple):
+    """Where a method lives; its class is a dataclass whose fields are the options of `load`."""
+
+    summary: str
+    module: str
+    factory: str
+
+
+METHODS: dict[str, MethodEntry] = {
+    "consensus": MethodEntry(
+        "training-free: rigid motions by consensus of matched points, refined against the depth",
+        "objectflow.consensus.estimator",
+        "Consensus",
+    ),
+    "dense-flow": MethodEntry(
+        "DIS optical flow lifted by depth, occlusion-checked; flow only, no objects",
+        "objectflow.baselines.dense_flow",
+        "DenseFlow",
+    ),
+    "zero": MethodEntry("nothing moves: the row that every method must beat", "objectflow.baselines.zero", "Zero"),
+}
+
+
+def load(name: str = DEFAULT_METHOD, **options: Any) -> Estimator:
+    """Make an estimator by its name.
+
+    Args:
+        name: one of `METHODS`.
+        **options: the method's own settings; `camera` ("auto", "static" or "moving") is known to every method.
+
+    Raises:
+        MethodError: an unknown name (the message lists the choices), or an option or a value that it does not have.
+    """
+    if name not in METHODS:
+        near = difflib.get_close_matches(name, METHODS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise MethodError(f"unknown method {name!r}: {hint}choose one of {', '.join(sorted(METHODS))}")
+    entry = METHODS[name]
+    factory = getattr(importlib.import_module(entry.module), entry.factory)
+    known = [field.name for field in dataclasses.fields(factory) if field.init]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise MethodError(f"method {name!r} has no option {unknown[0]!r}: it has {', '.join(known)}")
+    return cast(Estimator, factory(**options))
+
+
+def check_camera_option(camera: str) -> None:
+    """Check the option that every method has.
+
+    Raises:
+        MethodError: not one of "auto", "static", "moving".
+    """
+    if camera not in ("auto", "static", "moving"):
+        raise MethodError(f"camera must be auto, static or moving, not {camera!r}")
