@@ -1,0 +1,64 @@
+"""What a simulated object is: its surface, its convex collision parts and its rotational symmetry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class ModelRef(NamedTuple):
+    """Names one model of a library without building it."""
+
+    category: str
+    """For example "mug"; of a mesh folder, the folder's or synset's name."""
+    name: str
+    """For example "mug-00012"; of a mesh folder, the file's path relative to the folder."""
+
+
+@dataclass(frozen=True)
+class SymmetryAxis:
+    """One axis about which an object can turn and look the same; it passes through the origin."""
+
+    axis: tuple[float, float, float]
+    """Unit vector in the object frame."""
+    order: int
+    """n >= 2 for C_n (turns by 2 pi / n), 0 for continuous (any turn)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid object at its real size.
+
+    The origin of the object frame is the object's centre X. It lies on every symmetry axis, so that a turn of the
+    symmetry group keeps X where it is and the paper's translation T needs no correction.
+    """
+
+    category: str
+    name: str
+    vertices: NDArray[np.float64]
+    """(V, 3) metres, object frame. Split at texture seams; closed once equal points are merged. The surface may be
+    a union of closed solids that overlap (a mug's handle enters its wall)."""
+    faces: NDArray[np.int32]
+    """(F, 3) indices into `vertices`, counter-clockwise seen from outside."""
+    uv: NDArray[np.float64]
+    """(V, 2) texture coordinates, mostly in [0, 1]; v runs upwards."""
+    parts: tuple[NDArray[np.float64], ...]
+    """Collision shape: a union of convex hulls, each the (P, 3) metres vertices of one, object frame."""
+    symmetry: tuple[SymmetryAxis, ...]
+    """Every axis of the object's rotation group that generates it; empty when only the identity maps it to itself.
+    Geometric: a texture may break it, as in the paper."""
+    texture: NDArray[np.uint8] | None = None
+    """(h, w, 3) uint8 RGB, where a mesh file brings its own."""
+
+    @property
+    def ref(self) -> ModelRef:
+        """The name under which the library finds it again."""
+        return ModelRef(self.category, self.name)
+
+    @property
+    def radius(self) -> float:
+        """Metres from the origin to the furthest vertex."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
