@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import geometry
 from objectflow.frame import Camera, RgbdFrame
 
 Floats = NDArray[np.float32]

@@ -1,0 +1,186 @@
+"""`consensus`: rigid motions by agreement among matches, pixels by agreement with the motions; nothing is learned.
+
+In the spirit of SF2SE3 (Sommer et al., GCPR 2022): propose rigid motions from matched points, keep those that cover
+most, give each pixel to the motion that explains it, refine, and make the flow again from the motions.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import correspondence, geometry, rigid
+from objectflow.consensus import assignment, verdict
+from objectflow.consensus.background import background_motion
+from objectflow.consensus.proposals import propose
+from objectflow.correspondence import Matches
+from objectflow.errors import MethodError
+from objectflow.estimator import check_camera_option
+from objectflow.frame import RgbdFrame, check_pair
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.noise import match_sigma
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class Hypothesis(NamedTuple):
+    """One moving object on the way: a motion, points that follow it, and its mask once there is one."""
+
+    prev_T_curr: Array
+    anchors: NDArray[np.float32]
+    matches: Matches
+
+
+@dataclass(frozen=True)
+class Consensus:
+    """The training-free estimator.
+
+    Attributes:
+        camera: "static" fixes the background's flow to exactly 0, "moving" estimates it, "auto" decides by whether
+            the background's motion stands out from the noise.
+        match_width: pixels; wider images are matched at this width.
+        label_width: pixels; pixels are assigned to motions at this width, then sharpened to the full image.
+        min_object_share: of the image; smaller objects are not reported.
+        rounds: of assigning pixels and refining motions.
+        seed: of the random minimal sets; the same seed gives the same result.
+    """
+
+    camera: str = "auto"
+    match_width: int = 640
+    label_width: int = 320
+    min_object_share: float = 0.0008
+    rounds: int = 2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_camera_option(self.camera)
+        if self.match_width < 64 or self.label_width < 64 or self.rounds < 1 or not 0 < self.min_object_share < 1:
+            raise MethodError("consensus needs widths of at least 64, one round or more, and a share within (0, 1)")
+
+    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        """See `Estimator`."""
+        start = time.perf_counter()
+        check_pair(prev, curr)
+        rng = np.random.default_rng(self.seed)
+        # 1. Match the frames and lift the matches by depth.
+        prev_m, curr_m = _narrow(prev, self.match_width), _narrow(curr, self.match_width)
+        matches = _all_matches(prev_m, curr_m)
+        target = rigid.Target(prev_m)
+        # 2. The background first: what moves is what does not follow it.
+        camera_motion = background_motion(matches, target, curr_m, camera=self.camera, rng=rng)
+        background = np.eye(4) if camera_motion is None else camera_motion
+        # 3. Rigid motions among the matches that are left.
+        movers = _moving(matches, background, curr_m)
+        hypotheses = [
+            Hypothesis(p.prev_T_curr, p.matches.curr, p.matches) for p in propose(movers, curr_m.camera, rng=rng)
+        ]
+        # 4. Pixels to motions, motions from pixels.
+        prev_s, curr_s = _narrow(prev, self.label_width), _narrow(curr, self.label_width)
+        stage = verdict.Stage(prev_s, curr_s, background, min_pixels=self._min_pixels(curr_s))
+        masks: list[Mask] = []
+        for _ in range(self.rounds):
+            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers)
+        # 5. Keep what stands: objects that moved, and regions that no motion explains.
+        labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
+        # 6. The full image: sharp labels, and the flow made again from the motions.
+        labels = assignment.sharpen(labels_s, curr_s, curr)
+        return self._result(curr, labels, objects, camera_motion, start)
+
+    def _min_pixels(self, frame: RgbdFrame) -> int:
+        return max(12, round(self.min_object_share * frame.depth.size))
+
+    def _assign_and_refine(
+        self,
+        stage: verdict.Stage,
+        hypotheses: list[Hypothesis],
+        target: rigid.Target,
+        curr: RgbdFrame,
+        movers: Matches,
+    ) -> tuple[list[Mask], list[Hypothesis]]:
+        """One round: the masks of the present motions, and each mask's motion refined."""
+        if not hypotheses:
+            return [], []
+        labels = stage.assign([h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses])
+        masks: list[Mask] = []
+        refined: list[Hypothesis] = []
+        for number, hypothesis in enumerate(hypotheses, 1):
+            for mask in stage.split(np.where(labels == number, 1, 0).astype(np.int32)):
+                own = movers[verdict.inside(mask, movers, curr.camera)]
+                source = rigid.make_source(curr, verdict.enlarge(mask, curr))
+                start = hypothesis.prev_T_curr
+                if len(own.curr) >= 6:
+                    start = min(start, rigid.fit_matches(own, curr.camera)[0], key=lambda T: _misfit(T, own, curr))
+                fit = rigid.refine(target, source, start, matches=own)
+                masks.append(mask)
+                refined.append(Hypothesis(fit.prev_T_curr, stage.points[mask], own))
+        return masks, refined
+
+    def _result(
+        self,
+        curr: RgbdFrame,
+        labels: NDArray[np.int32],
+        objects: list[verdict.Verdict],
+        camera_motion: Array | None,
+        start: float,
+    ) -> SceneMotion:
+        points = geometry.back_project(curr.depth, curr.camera)
+        kept: list[ObjectMotion] = []
+        final = np.zeros_like(labels)
+        for number, found in enumerate(objects, 1):
+            mask = labels == number
+            if not (mask & curr.valid).any():
+                continue
+            identifier = len(kept) + 1
+            final[mask] = identifier
+            kept.append(
+                ObjectMotion(
+                    id=identifier,
+                    pixels=int(mask.sum()),
+                    score=found.score,
+                    moving=found.moving,
+                    center=np.asarray(points[mask & curr.valid].mean(axis=0), dtype=np.float64),
+                    prev_T_curr=found.prev_T_curr,
+                )
+            )
+        flow = geometry.flow_from_motions(points, final, {obj.id: obj.prev_T_curr for obj in kept}, camera_motion)
+        return SceneMotion(
+            labels=final,
+            scene_flow=flow,
+            objects=tuple(kept),
+            camera_motion=camera_motion,
+            method="consensus",
+            seconds=time.perf_counter() - start,
+        )
+
+
+def _narrow(frame: RgbdFrame, width: int) -> RgbdFrame:
+    if frame.camera.width <= width:
+        return frame
+    return frame.resized(width, max(1, round(frame.camera.height * width / frame.camera.width)))
+
+
+def _all_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
+    """Flow on a grid and features together."""
+    flow, consistent = correspondence.dense_flow(correspondence.gray(prev.color), correspondence.gray(curr.color))
+    stride = 4 if curr.camera.width <= 400 else 8
+    parts = (
+        correspondence.flow_matches(flow, consistent, prev, curr, stride=stride),
+        correspondence.feature_matches(prev, curr),
+    )
+    return Matches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:
+    """Matches that the background's motion leaves further off than noise does."""
+    error = np.linalg.norm(geometry.transform(background, matches.curr) - matches.prev, axis=1)
+    return matches[error > 3 * match_sigma(matches.curr[:, 2], curr.camera)]
+
+
+def _misfit(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> float:
+    error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
+    return float(np.minimum(error / match_sigma(matches.curr[:, 2], curr.camera), 3).sum())
