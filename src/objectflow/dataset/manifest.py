@@ -1,0 +1,161 @@
+"""`manifest.json`: what a data set is made of, how it was made, and the hash of every shard."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from objectflow import files
+from objectflow.errors import DatasetError, StorageError
+
+FILE = "manifest.json"
+VERSION = 1
+"""Of the row format and the manifest. Another one is refused, not guessed at."""
+
+Kind = Literal["pairs", "sequences"]
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One Parquet file: name, rows, size and the SHA-256 of its bytes in hexadecimal."""
+
+    file: str
+    rows: int
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """All pairs, or all sequences, of one split.
+
+    Attributes:
+        kind: "pairs" or "sequences".
+        split: "train", "val" or "test".
+        rows: pairs, or frames of sequences.
+        scenes: simulated scenes.
+        views: pairs taken of one scene; 1 for sequences.
+        rejected: scenes that were drawn anew, by reason.
+        shards: in order.
+    """
+
+    kind: Kind
+    split: str
+    rows: int
+    scenes: int
+    views: int
+    rejected: dict[str, int]
+    shards: tuple[Shard, ...]
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """A data set: its seed, settings and parts. `objectflow` is the version of the program that made it."""
+
+    seed: int
+    settings: dict[str, Any]
+    parts: dict[str, Part]
+    objectflow: str
+    version: int = VERSION
+
+    @property
+    def sha256(self) -> str:
+        """A hash of the whole data set: of its parts' shard hashes."""
+        hashes = [shard.sha256 for name in sorted(self.parts) for shard in self.parts[name].shards]
+        return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+
+    def write(self, folder: Path) -> None:
+        """Write `manifest.json`, whole.
+
+        Raises:
+            StorageError: the disk refused.
+        """
+        files.write_text(folder / FILE, json.dumps(asdict(self), indent=2, sort_keys=True) + "\n")
+
+    @classmethod
+    def read(cls, folder: Path) -> Manifest:
+        """Read a data set's manifest.
+
+        Raises:
+            DatasetError: no data set, an unfinished one, or one of another version.
+        """
+        path = folder / FILE
+        try:
+            values = json.loads(path.read_text())
+        except FileNotFoundError:
+            if not folder.is_dir():
+                raise DatasetError(f"{folder}: no such folder") from None
+            if any(folder.glob("*-of-*.parquet")):
+                hint = "it is not finished: run the same `objectflow generate` command again"
+            else:
+                hint = "not a data set: make one with `objectflow generate`"
+            raise DatasetError(f"{folder}: no {FILE}: {hint}") from None
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+        except (ValueError, RecursionError) as error:
+            raise DatasetError(f"{path}: not a JSON file: {error}") from error
+        try:
+            if values["version"] != VERSION:
+                raise DatasetError(
+                    f"{path}: data set version {values['version']}, this program reads {VERSION}: generate it anew"
+                )
+            parts = {name: _part(part) for name, part in values["parts"].items()}
+            return cls(int(values["seed"]), dict(values["settings"]), parts, str(values["objectflow"]))
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DatasetError(f"{path}: not a manifest: {error!r}") from error
+
+
+def _part(values: dict[str, Any]) -> Part:
+    shards = tuple(Shard(**shard) for shard in values["shards"])
+    return Part(**{**values, "shards": shards})
+
+
+def part_name(split: str, kind: Kind) -> str:
+    """The part's name, which its shards' names start with."""
+    return split if kind == "pairs" else f"{split}-sequences"
+
+
+def shard_name(part: str, number: int, total: int) -> str:
+    """For example "train-00000-of-00049.parquet"."""
+    return f"{part}-{number:05d}-of-{total:05d}.parquet"
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        DatasetError: no such file.
+        StorageError: the disk refused.
+    """
+    try:
+        digest = hashlib.sha256()
+        with open(path, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        return digest.hexdigest()
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def verify(folder: Path, manifest: Manifest) -> int:
+    """Compare every shard's bytes with the manifest; the number of shards.
+
+    Raises:
+        DatasetError: a shard is missing or differs.
+    """
+    count = 0
+    for part in manifest.parts.values():
+        for shard in part.shards:
+            if hash_file(folder / shard.file) != shard.sha256:
+                raise DatasetError(
+                    f"{folder / shard.file}: its hash is not the one in {FILE}: copy the file again, "
+                    "or remove it and run the same `objectflow generate` command"
+                )
+            count += 1
+    return count

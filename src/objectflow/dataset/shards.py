@@ -1,0 +1,231 @@
+"""Parquet shards: written whole and always the same bytes, read with random access."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Generic, Literal
+
+from objectflow import files
+from objectflow.dataset.manifest import Kind, Manifest, Part, part_name
+from objectflow.dataset.schema import PairRow, Row, SequenceRow
+from objectflow.errors import DatasetError, MissingExtraError, StorageError
+
+try:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+except ImportError as error:
+    raise MissingExtraError(
+        'data sets need pyarrow: pip install "objectflow[synth]" or "objectflow[train]"'
+    ) from error
+
+ROWS_A_GROUP = 8
+"""Rows that are read together. Small, so that one row out of order does not cost a whole shard."""
+
+METADATA_KEY = b"objectflow"
+
+
+def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metadata: Mapping[str, Any]) -> None:
+    """Write rows (as `PairRow.to_dict` or `SequenceRow.to_dict` give them) so that the file appears whole.
+
+    The bytes depend on the arguments and on pyarrow's version alone: images are compressed already, so nothing
+    else is.
+
+    Args:
+        path: the shard's file.
+        rows: in order.
+        kind: which of the two row forms.
+        metadata: JSON-able; comes back from `read_metadata`.
+
+    Raises:
+        StorageError: the disk refused; nothing is left behind.
+    """
+    schema = _SCHEMAS[kind].with_metadata({METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()})
+    buffer = io.BytesIO()
+    pq.write_table(
+        pa.Table.from_pylist(list(rows), schema=schema),
+        buffer,
+        row_group_size=ROWS_A_GROUP,
+        compression="none",
+        use_dictionary=False,
+        write_statistics=False,
+    )
+    files.write_bytes(path, buffer.getvalue())
+
+
+def read_metadata(path: Path) -> tuple[dict[str, Any], int]:
+    """What `write_shard` was given as metadata, and the number of rows.
+
+    Raises:
+        DatasetError: not a shard of this program.
+    """
+    file = _open(path)
+    try:
+        metadata = json.loads((file.schema_arrow.metadata or {})[METADATA_KEY])
+        return dict(metadata), int(file.metadata.num_rows)
+    except (KeyError, ValueError) as error:
+        raise DatasetError(f"{path}: a Parquet file that objectflow did not write: move it away") from error
+
+
+class Shards(Sequence[Row], Generic[Row]):
+    """The rows of one part of a data set, by number; opens files when they are first needed.
+
+    Can be pickled and handed to worker processes: each opens its own files.
+    """
+
+    def __init__(self, folder: Path, part: Part, decode: Callable[..., Row], manifest: Manifest) -> None:
+        self.folder, self.part, self.manifest = folder, part, manifest
+        self._decode = decode
+        self._starts = [0]
+        for shard in part.shards:
+            path = folder / shard.file
+            if not path.is_file():
+                raise DatasetError(f"{path}: missing, though manifest.json lists it: copy the folder again")
+            if path.stat().st_size != shard.bytes:
+                raise DatasetError(
+                    f"{path}: {path.stat().st_size} bytes, manifest.json says {shard.bytes}: copy the file again"
+                )
+            self._starts.append(self._starts[-1] + shard.rows)
+        self._open: dict[int, Any] = {}
+        self._group: tuple[int, int, Any] | None = None
+
+    def __len__(self) -> int:
+        return self._starts[-1]
+
+    def __getitem__(self, index: int) -> Row:  # type: ignore[override]
+        """The row of that number; negative numbers count from the end."""
+        position, where = self._locate(index)
+        return self._decode(self._read(position), where=where)
+
+    def keys(self) -> list[str]:
+        """Every row's key ("sequence/frame" of sequences), in order; reads no images."""
+        keys: list[str] = []
+        for number in range(len(self.part.shards)):
+            if self.part.kind == "pairs":
+                keys += self._file(number).read(columns=["key"]).column("key").to_pylist()
+            else:
+                table = self._file(number).read(columns=["sequence", "frame"]).to_pylist()
+                keys += [f"{row['sequence']}/{row['frame']}" for row in table]
+        return keys
+
+    def objects(self) -> list[list[dict[str, Any]]]:
+        """Every row's object table as plain dictionaries, in order; reads no images."""
+        tables: list[list[dict[str, Any]]] = []
+        for number in range(len(self.part.shards)):
+            tables += self._file(number).read(columns=["objects"]).column("objects").to_pylist()
+        return tables
+
+    def find(self, key: str) -> int:
+        """The number of the row with this key.
+
+        Raises:
+            DatasetError: there is none; the message names some that there are.
+        """
+        keys = self.keys()
+        if key not in keys:
+            raise DatasetError(f"{self.folder}: no row {key!r}; there are {len(keys)}: {_some(keys)}")
+        return keys.index(key)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_open": {}, "_group": None}
+
+    def _locate(self, index: int) -> tuple[int, str]:
+        position = index + len(self) if index < 0 else index
+        if not 0 <= position < len(self):
+            raise IndexError(f"{self.folder}: row {index} of {len(self)}")
+        return position, f"{self.folder}, row {position}"
+
+    def _read(self, position: int) -> dict[str, Any]:
+        number = next(i for i in range(len(self.part.shards)) if position < self._starts[i + 1])
+        group, offset = divmod(position - self._starts[number], ROWS_A_GROUP)
+        if self._group is None or self._group[:2] != (number, group):
+            try:
+                table = self._file(number).read_row_group(group)
+            except (pa.ArrowException, OSError) as error:
+                path = self.folder / self.part.shards[number].file
+                raise DatasetError(f"{path}: broken at row {position - self._starts[number]}: {error}") from error
+            self._group = (number, group, table)
+        rows = self._group[2].slice(offset, 1).to_pylist()
+        return dict(rows[0])
+
+    def _file(self, number: int) -> Any:
+        if number not in self._open:
+            self._open[number] = _open(self.folder / self.part.shards[number].file)
+        return self._open[number]
+
+
+def open_pairs(folder: str | Path, split: str = "train") -> Shards[PairRow]:
+    """The pairs of one split.
+
+    Raises:
+        DatasetError: no data set, no such split in it, or a shard that is missing or of another size.
+    """
+    manifest, part = _part(Path(folder), split, "pairs")
+    return Shards(Path(folder), part, PairRow.from_dict, manifest)
+
+
+def open_sequences(folder: str | Path, split: str = "test") -> Shards[SequenceRow]:
+    """The frames of one split's sequences, sequence after sequence.
+
+    Raises:
+        DatasetError: no data set, no such split in it, or a shard that is missing or of another size.
+    """
+    manifest, part = _part(Path(folder), split, "sequences")
+    return Shards(Path(folder), part, SequenceRow.from_dict, manifest)
+
+
+def _part(folder: Path, split: str, kind: Kind) -> tuple[Manifest, Part]:
+    manifest = Manifest.read(folder)
+    name = part_name(split, kind)
+    if name not in manifest.parts:
+        raise DatasetError(f"{folder}: no {kind} of split {split!r}; there is: {', '.join(sorted(manifest.parts))}")
+    part = manifest.parts[name]
+    if part.rows == 0:
+        raise DatasetError(f"{folder}: split {split!r} has no {kind}")
+    return manifest, part
+
+
+def _open(path: Path) -> Any:
+    try:
+        return pq.ParquetFile(path, memory_map=True)
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except PermissionError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(f"{path}: not a Parquet file that can be read: {error}") from error
+
+
+def _some(keys: list[str]) -> str:
+    return ", ".join(keys[:3]) + (f", ..., {keys[-1]}" if len(keys) > 4 else ", ".join(["", *keys[3:]]))
+
+
+_VECTOR: Any = pa.list_(pa.float64())
+_SYMMETRY: Any = pa.list_(pa.struct([("axis", _VECTOR), ("order", pa.int32())]))
+_CAMERA: Any = pa.struct(
+    [("width", pa.int32()), ("height", pa.int32())]
+    + [(name, pa.float64()) for name in ("fx", "fy", "cx", "cy", "depth_scale")]
+)
+_IDENTITY: list[Any] = [("label", pa.int32()), ("category", pa.string()), ("model", pa.string())]
+_PAIR_OBJECT: Any = pa.struct(
+    _IDENTITY
+    + [(name, _VECTOR) for name in ("center", "translation", "rotation_vector", "raw_rotation_vector")]
+    + [("symmetry", _SYMMETRY), ("prev_pose", _VECTOR), ("curr_pose", _VECTOR), ("in_both", pa.bool_())]
+)
+_FRAME_OBJECT: Any = pa.struct([*_IDENTITY, ("symmetry", _SYMMETRY), ("pose", _VECTOR)])
+_IMAGES = ("color", "depth", "labels")
+
+_SCHEMAS: dict[Literal["pairs", "sequences"], Any] = {
+    "pairs": pa.schema(
+        [("key", pa.string()), ("scene", pa.string())]
+        + [(f"{frame}_{image}", pa.binary()) for frame in ("prev", "curr") for image in _IMAGES]
+        + [("camera", _CAMERA), ("objects", pa.list_(_PAIR_OBJECT))]
+    ),
+    "sequences": pa.schema(
+        [("sequence", pa.string()), ("frame", pa.int32())]
+        + [(image, pa.binary()) for image in _IMAGES]
+        + [("camera", _CAMERA), ("objects", pa.list_(_FRAME_OBJECT))]
+    ),
+}
