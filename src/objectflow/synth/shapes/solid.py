@@ -1,0 +1,117 @@
+"""A closed solid with its texture coordinates and convex parts, and the one way it is made: a loft of rings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One or several closed surfaces and the convex hulls that stand in for them in collisions. Metres."""
+
+    vertices: Array
+    """(V, 3)."""
+    faces: NDArray[np.int32]
+    """(F, 3), counter-clockwise from outside."""
+    uv: Array
+    """(V, 2) in [0, 1]."""
+    parts: tuple[Array, ...]
+    """Each (P, 3): points whose convex hull is one part."""
+
+    def moved(self, offset: ArrayLike = (0, 0, 0), rotation: ArrayLike | None = None) -> Solid:
+        """The same solid, turned by `rotation` (3, 3) about the origin and then shifted by `offset` (3,)."""
+        R = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
+        t = np.asarray(offset, dtype=np.float64)
+        return Solid(self.vertices @ R.T + t, self.faces, self.uv, tuple(part @ R.T + t for part in self.parts))
+
+
+def join(solids: Iterable[Solid]) -> Solid:
+    """Several solids as one; they may overlap."""
+    solids = list(solids)
+    starts = np.cumsum([0, *(len(solid.vertices) for solid in solids[:-1])])
+    return Solid(
+        np.concatenate([solid.vertices for solid in solids]),
+        np.concatenate([solid.faces + start for solid, start in zip(solids, starts, strict=True)]).astype(np.int32),
+        np.concatenate([solid.uv for solid in solids]),
+        tuple(part for solid in solids for part in solid.parts),
+    )
+
+
+def loft(
+    rings: Array,
+    parts: Iterable[Array],
+    start_tip: ArrayLike | None = None,
+    end_tip: ArrayLike | None = None,
+    closed: bool = False,
+) -> Solid:
+    """Skin a row of rings, and close both ends with fans.
+
+    Args:
+        rings: (M, K, 3) metres, all with the same sense of turn. The end rings must be star-shaped about their tips.
+        parts: the convex parts, which only the caller knows.
+        start_tip, end_tip: (3,) centres of the fans; the mean of the end ring when None.
+        closed: the last ring joins the first (a torus); no fans then.
+    """
+    M, K, _ = rings.shape
+    grid = np.concatenate([rings, rings[:, :1]], axis=1)  # the seam is doubled: u = 0 and u = 1
+    if closed:
+        grid = np.concatenate([grid, grid[:1]])
+    rows = len(grid)
+    u = _fractions(grid.mean(axis=0))
+    v = _fractions(grid[:, 0])
+    vertices = [grid.reshape(-1, 3)]
+    uvs = [np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1).reshape(-1, 2)]
+    a = (np.arange(rows - 1)[:, None] * (K + 1) + np.arange(K)[None, :]).ravel()
+    b, c, d = a + 1, a + K + 2, a + K + 1
+    faces = [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
+    count = rows * (K + 1)
+    if not closed:
+        for ring, tip, turn in ((rings[0], start_tip, -1), (rings[-1], end_tip, 1)):
+            center = ring.mean(axis=0) if tip is None else np.asarray(tip, dtype=np.float64)
+            vertices += [ring, center[None]]
+            uvs.append(_disc_uv(ring, center))
+            i = count + np.arange(K)
+            fan = np.stack([i, np.roll(i, -1), np.full(K, count + K)], axis=1)
+            faces.append(fan[:, ::turn])
+            count += K + 1
+    points, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
+    if signed_volume(points, triangles) < 0:
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
+    return Solid(points, triangles, np.concatenate(uvs), tuple(parts))
+
+
+def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
+    """Cubic metres enclosed by a closed surface; negative when it is inside out."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def surface_center(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """(3,) the centroid of the surface. Every rotation axis of the surface runs through it, open or closed."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.asarray((area[:, None] * (a + b + c)).sum(axis=0) / (3 * area.sum()))
+
+
+def _fractions(line: Array) -> Array:
+    """(N, 3) polyline -> (N,) share of its length covered at each point."""
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    total = steps.sum()
+    covered = np.concatenate([[0.0], np.cumsum(steps)])
+    return covered / total if total > 0 else np.linspace(0, 1, len(line))
+
+
+def _disc_uv(ring: Array, center: Array) -> Array:
+    """A flat picture of a fan: (K + 1, 2), its centre last."""
+    spokes = ring - center
+    x = spokes[0] / np.linalg.norm(spokes[0])
+    normal = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0)
+    y = np.cross(normal / np.linalg.norm(normal), x)
+    flat = np.stack([spokes @ x, spokes @ y], axis=1)
+    return np.concatenate([0.5 + 0.5 * flat / np.abs(flat).max(), [[0.5, 0.5]]])
