@@ -21,7 +21,7 @@ Floats = NDArray[np.float32]
 
 COST_FLOATING = 6.0
 """The point would hang in front of what the previous frame saw there: it was not there."""
-COST_HIDDEN = 1.5
+COST_HIDDEN = 2.0
 """The point would have been hidden: possible, but a motion that shows it is better."""
 COST_UNSEEN = 1.0
 """Outside the previous image, or no depth there: says nothing for or against."""
@@ -30,16 +30,40 @@ _BOND = 30.0
 """Strength of the tie between two pixels of one smooth, evenly coloured surface, against 1 for a certain pixel."""
 
 
-def motion_cost(prev: RgbdFrame, curr: RgbdFrame, points: Floats, prev_T_curr: Array) -> Floats:
+class Look:
+    """A frame's colour, taken apart so that shadows count little: they travel with what casts them.
+
+    Attributes:
+        channels: texture (lightness less its local mean), lightness, and two colour-opponent channels (CIELAB).
+        contrast: of each channel around each pixel.
+    """
+
+    TOLERANCES = ((8.0, 0.35), (40.0, 0.35), (8.0, 0.35), (8.0, 0.35))
+    """For each channel: grey levels that cost 0.5, and how much of the local contrast comes on top."""
+
+    def __init__(self, color: NDArray[np.uint8]) -> None:
+        lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
+        light = np.ascontiguousarray(lab[..., 0])
+        texture = light - cv2.GaussianBlur(light, (0, 0), 4)
+        self.channels = (texture, light, *(np.ascontiguousarray(lab[..., k]) for k in (1, 2)))
+        size = np.ones((3, 3))
+        self.contrast = tuple(cv2.dilate(channel, size) - cv2.erode(channel, size) for channel in self.channels)
+
+
+def motion_cost(
+    prev: RgbdFrame, points: Floats, prev_T_curr: Array, looks: tuple[Look, Look] | None
+) -> tuple[Floats, NDArray[np.bool_]]:
     """How badly a motion fits each pixel, as a negative log-likelihood.
 
     Args:
-        prev, curr: the two frames at one size.
-        points: (H, W, 3) of `curr`.
+        prev: the previous frame.
+        points: (H, W, 3) of the current frame, at the same size.
         prev_T_curr: the motion.
+        looks: of the previous and the current frame; None leaves colour out.
 
     Returns:
         (H, W) float32; 0 is perfect, `COST_FLOATING` is ruled out; pixels without depth get `COST_UNSEEN`.
+        (H, W) bool: the pixel would have been hidden behind something.
     """
     camera = prev.camera
     carried = geometry.transform(prev_T_curr, points)
@@ -63,20 +87,21 @@ def motion_cost(prev: RgbdFrame, curr: RgbdFrame, points: Floats, prev_T_curr: A
         offset = np.where(np.abs(candidate) < np.abs(offset), candidate, offset)
     known = inside & np.isfinite(offset) & np.isfinite(z)
     scaled = np.where(known, offset, 0) / sigma
-    color = _color_cost(prev, curr, u.astype(np.float32), v.astype(np.float32))
-    cost = 0.5 * np.minimum(scaled**2, 9) + color
-    cost = np.where(scaled < -3, COST_FLOATING, np.where(scaled > 3, COST_HIDDEN + 1.5 * (scaled < 6), cost))
-    return np.where(known, np.minimum(cost, COST_FLOATING), COST_UNSEEN).astype(np.float32)
+    cost = 0.5 * np.minimum(scaled**2, 9)
+    if looks is not None:
+        cost = cost + _color_cost(*looks, u.astype(np.float32), v.astype(np.float32))
+    cost = np.where(scaled < -3, COST_FLOATING, np.where(scaled > 3, COST_HIDDEN + 1.0 * (scaled < 6), cost))
+    cost = np.where(known, np.minimum(cost, COST_FLOATING), COST_UNSEEN).astype(np.float32)
+    return cost, known & (scaled > 3)
 
 
-def _color_cost(prev: RgbdFrame, curr: RgbdFrame, u: Floats, v: Floats) -> Floats:
-    """Up to 2: the colour at (u, v) in `prev` against the pixel's own; edges may be off by half a pixel."""
-    warped = cv2.remap(prev.color, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-    difference = np.abs(warped - curr.color).mean(-1)
-    size = np.ones((3, 3))
-    contrast = (cv2.dilate(curr.color, size).astype(np.float32) - cv2.erode(curr.color, size)).mean(-1)
-    tolerance = 10 + 0.25 * contrast
-    return np.asarray(np.minimum(0.5 * (difference / tolerance) ** 2, 2), dtype=np.float32)
+def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats) -> Floats:
+    """Up to 2: the look at (u, v) in `prev` against the pixel's own; edges may be off by half a pixel."""
+    cost = np.zeros(u.shape, np.float32)
+    for channel, (tolerance, slack) in enumerate(Look.TOLERANCES):
+        warped = cv2.remap(prev.channels[channel], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        cost += ((warped - curr.channels[channel]) / (tolerance + slack * curr.contrast[channel])) ** 2
+    return np.asarray(np.minimum(0.5 * cost, 2), dtype=np.float32)
 
 
 def nearness_cost(points: Floats, anchors: Floats, reach: float) -> Floats:
@@ -116,6 +141,7 @@ class PixelGraph:
             steps.append(step.ravel())
         self.head, self.tail = np.concatenate(heads), np.concatenate(tails)
         self.tie, self.step = np.concatenate(ties), np.concatenate(steps)
+        self.blocks = _blocks(depth.shape)
 
     @staticmethod
     def _tie(
@@ -131,7 +157,7 @@ class PixelGraph:
             turn = ((normals[there] - normals[here]) * (points[there] - points[here])).sum(-1)
             crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < 0.97)
         change = np.abs(color[here] - color[there]).max(-1)
-        tie = _BOND * np.exp(-((change / 25) ** 2)) * np.exp(-((gap / allowed) ** 2)) + 0.02
+        tie = _BOND * (0.12 + 0.88 * np.exp(-((change / 25) ** 2))) * np.exp(-((gap / allowed) ** 2)) + 0.02
         tie = np.where(crease, 0.15 * tie, tie)
         tie = np.where(both, tie, 0.05 * _BOND * np.exp(-((change / 15) ** 2)) + 0.02)
         return np.where(step, 0.01, tie), step
@@ -151,13 +177,10 @@ class PixelGraph:
         pull = (top[1] - top[0]) + 1e-3
         n = prior.shape[1]
         weights = sparse.coo_array((self.tie, (self.head, self.tail)), shape=(n, n)).tocsr()
-        weights = weights + weights.T
-        degree = np.asarray(weights.sum(axis=1)).ravel()
-        system = sparse.diags_array(degree + pull) - weights
-        factor = splu(
-            system.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-        walked = factor.solve((prior * pull).T)
+        weights = (weights + weights.T).tocsr()
+        diagonal = np.asarray(weights.sum(axis=1)).ravel() + pull
+        system = (sparse.diags_array(diagonal) - weights).tocsr()
+        walked = _two_grid(system, diagonal, (prior * pull).T, self.blocks)
         return np.asarray(walked.T.reshape(costs.shape), dtype=np.float32)
 
     def components(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -170,6 +193,37 @@ class PixelGraph:
         )
         _, numbers = csgraph.connected_components(graph, directed=False)
         return np.asarray(numbers.reshape(self.shape), dtype=np.int32)
+
+
+def _blocks(shape: tuple[int, int]) -> sparse.csr_array:
+    """(H W, h w) 0/1 matrix: which 2x2 block a pixel lies in."""
+    height, width = shape
+    row, column = np.mgrid[0:height, 0:width] // 2
+    block = (row * ((width + 1) // 2) + column).ravel()
+    ones = np.ones(height * width)
+    return sparse.csr_array((ones, (np.arange(height * width), block)))
+
+
+def _two_grid(system: sparse.csr_array, diagonal: Array, right: Array, blocks: sparse.csr_array) -> Array:
+    """Solve the walk on 2x2 blocks exactly, on pixels by smoothing, twice: a fifth of the time of a full solve.
+
+    A textbook two-grid cycle with Galerkin's coarse system and damped Jacobi; labels are an argmax, so the last digits
+    do not matter.
+    """
+    coarse = splu(
+        (blocks.T @ system @ blocks).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    inverse = (0.8 / diagonal)[:, None]
+    solution = blocks @ coarse.solve(blocks.T @ right)
+    for cycle in range(2):
+        for _ in range(6):
+            solution += inverse * (right - system @ solution)
+        if cycle == 0:
+            solution += blocks @ coarse.solve(blocks.T @ (right - system @ solution))
+    return np.asarray(solution)
 
 
 def split_regions(

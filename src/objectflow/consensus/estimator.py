@@ -34,6 +34,7 @@ class Hypothesis(NamedTuple):
     prev_T_curr: Array
     anchors: NDArray[np.float32]
     matches: Matches
+    mask: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Consensus:
     match_width: int = 640
     label_width: int = 320
     min_object_share: float = 0.0008
-    rounds: int = 2
+    rounds: int = 3
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -81,7 +82,7 @@ class Consensus:
         ]
         # 4. Pixels to motions, motions from pixels.
         prev_s, curr_s = _narrow(prev, self.label_width), _narrow(curr, self.label_width)
-        stage = verdict.Stage(prev_s, curr_s, background, min_pixels=self._min_pixels(curr_s))
+        stage = verdict.Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         masks: list[Mask] = []
         for _ in range(self.rounds):
             masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers)
@@ -105,7 +106,8 @@ class Consensus:
         """One round: the masks of the present motions, and each mask's motion refined."""
         if not hypotheses:
             return [], []
-        labels = stage.assign([h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses])
+        known = [h.mask for h in hypotheses if h.mask is not None]
+        labels = stage.assign([h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses], known)
         masks: list[Mask] = []
         refined: list[Hypothesis] = []
         for number, hypothesis in enumerate(hypotheses, 1):
@@ -116,9 +118,10 @@ class Consensus:
                 if len(own.curr) >= 6:
                     start = min(start, rigid.fit_matches(own, curr.camera)[0], key=lambda T: _misfit(T, own, curr))
                 fit = rigid.refine(target, source, start, matches=own)
+                refined.append(Hypothesis(fit.prev_T_curr, stage.anchors(mask, fit.prev_T_curr), own, mask))
                 masks.append(mask)
-                refined.append(Hypothesis(fit.prev_T_curr, stage.points[mask], own))
-        return masks, refined
+        kept = verdict.prune(stage, masks, [h.prev_T_curr for h in refined])
+        return [masks[k] for k in kept], [refined[k] for k in kept]
 
     def _result(
         self,

@@ -21,6 +21,12 @@ Mask = NDArray[np.bool_]
 
 MIN_GAIN = 0.35
 """Mean log-likelihood a pixel that an object's motion must win over the background's."""
+OBJECT_PRIOR = 0.3
+"""Cost of any object's motion over the background's: undecided pixels are background."""
+HIDDEN_BY_KNOWN = 0.4
+"""Cost of having been hidden behind an object that is known to have been there."""
+MIN_TOTAL_GAIN = 100.0
+"""And over all its pixels together: what naming one more object costs. Neighbouring pixels are not independent."""
 MAX_UNEXPLAINED = 4
 """Regions that nothing explains are reported at most this many times, the largest first."""
 
@@ -36,25 +42,73 @@ class Verdict(NamedTuple):
 class Stage:
     """The two frames at the size where pixels are assigned, with what every round needs of them."""
 
-    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, background: Array, *, min_pixels: int) -> None:
-        self.prev, self.curr, self.background, self.min_pixels = prev, curr, background, min_pixels
+    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
+        self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
+        self.background = np.eye(4) if camera_motion is None else camera_motion
         self.points = geometry.back_project(curr.depth, curr.camera)
+        self.valid = curr.valid
         self.graph = assignment.PixelGraph(curr)
-        self.background_cost = assignment.motion_cost(prev, curr, self.points, background)
-        self.reach = 0.03 * float(np.median(curr.depth[curr.valid])) + 0.01
+        self.looks = assignment.Look(prev.color), assignment.Look(curr.color)
+        self.background_cost, self.hidden = assignment.motion_cost(prev, self.points, self.background, self.looks)
+        self.rival_cost = self.background_cost
+        # Before a static camera what was hidden is uncovered by a moving thing; a moving camera uncovers by itself.
+        self.telling = ~self.hidden if camera_motion is not None else np.ones_like(self.hidden)
+        self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
 
-    def cost(self, prev_T_curr: Array) -> Floats:
+    def cost(self, prev_T_curr: Array, *, color: bool = True) -> Floats:
         """(H, W) cost of a motion; see `assignment.motion_cost`."""
-        return assignment.motion_cost(self.prev, self.curr, self.points, prev_T_curr)
+        return assignment.motion_cost(self.prev, self.points, prev_T_curr, self.looks if color else None)[0]
 
-    def assign(self, motions: list[Array], anchors: list[Floats]) -> NDArray[np.int32]:
-        """(H, W) labels: 0 = background, k = the k-th motion, by cost, nearness and the walk along surfaces."""
-        costs = [self.background_cost]
+    def assign(self, motions: list[Array], anchors: list[Floats], masks: list[Mask]) -> NDArray[np.int32]:
+        """Labels by cost, nearness and the walk along surfaces.
+
+        Args:
+            motions: `prev_T_curr` of each object.
+            anchors: (N, 3) points that follow each.
+            masks: (H, W) of each, as far as known; empty in the first round.
+
+        Returns:
+            (H, W) int32: 0 = background, k = the k-th motion.
+        """
+        self.rival_cost = self._background_cost_given(motions, masks)
+        costs = [self.rival_cost]
         for motion, points in zip(motions, anchors, strict=True):
             near = assignment.nearness_cost(self.points, points, self.reach)
-            costs.append(self.cost(motion) + near + 0.1)
+            costs.append(self.cost(motion) + near + OBJECT_PRIOR)
         probability = self.graph.walk(np.stack(costs))
         return np.asarray(probability.argmax(0), dtype=np.int32)
+
+    def anchors(self, mask: Mask, motion: Array) -> Floats:
+        """(N, 3) points of a mask that its motion explains and the background's cannot."""
+        decided = mask & self.valid & (self.rival_cost - self.cost(motion) > 1)
+        return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
+
+    def _background_cost_given(self, motions: list[Array], masks: list[Mask]) -> Floats:
+        """The background's cost when objects are known: what they hid in `prev` may well be background.
+
+        Then being hidden costs only what the object's colours say: on a dull surface every motion finds the colour
+        again and it says nothing, on a textured one a motion that finds it is hardly wrong.
+        """
+        if not masks:
+            return self.background_cost
+        height, width = self.valid.shape
+        occupied = np.zeros((height, width), np.uint8)
+        for motion, mask in zip(motions, masks, strict=True):
+            column, row, inside_image = self._pixels_in_prev(motion, self.points[mask & self.valid])
+            occupied[row[inside_image], column[inside_image]] = 1
+        occupied = cv2.dilate(occupied, np.ones((5, 5)))
+        column, row, _ = self._pixels_in_prev(self.background, self.points)
+        expected = self.hidden & (occupied[row, column] > 0)
+        texture = np.minimum(self.looks[1].contrast[0] / 25, 1)
+        cost = HIDDEN_BY_KNOWN + (assignment.COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
+        return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
+
+    def _pixels_in_prev(self, motion: Array, points: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Mask]:
+        pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), self.prev.camera), nan=-9)
+        height, width = self.valid.shape
+        column, row = np.rint(pixels[..., 0]).astype(int), np.rint(pixels[..., 1]).astype(int)
+        inside_image = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside_image
 
     def split(self, labels: NDArray[np.int32]) -> list[Mask]:
         """The separate objects of each label."""
@@ -81,15 +135,18 @@ def settle(
     labels = np.zeros(stage.curr.depth.shape, np.int32)
     verdicts: list[Verdict] = []
     explained = stage.background_cost < 3
-    order = sorted(range(len(masks)), key=lambda k: -int(masks[k].sum()))
-    for k in order:
+    for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
         cost = stage.cost(motions[k])
         explained |= masks[k] & (cost < 3)
-        gain = float((stage.background_cost - cost)[masks[k]].mean())
-        if gain < MIN_GAIN or not _moved(stage, masks[k], motions[k]):
+        gains = ((stage.background_cost - cost) * stage.telling)[masks[k]]
+        if gains.mean() < MIN_GAIN or gains.sum() < MIN_TOTAL_GAIN or not _moved(stage, masks[k], motions[k]):
+            continue
+        host = _host(stage, masks[k], motions[k], labels, verdicts)
+        if host is not None:
+            labels[masks[k] & (labels == 0)] = host
             continue
         fit = float((cost[masks[k]] < 2).mean())
-        verdicts.append(Verdict(motions[k], round(fit * (1 - float(np.exp(-2 * gain))), 4), True))
+        verdicts.append(Verdict(motions[k], round(fit * (1 - float(np.exp(-2 * gains.mean()))), 4), True))
         labels[masks[k] & (labels == 0)] = len(verdicts)
     for region in _unexplained(stage, ~explained & (labels == 0)):
         own = movers[inside(region, movers, target.camera)]
@@ -100,12 +157,56 @@ def settle(
     return labels, verdicts
 
 
+def prune(stage: Stage, masks: list[Mask], motions: list[Array]) -> list[int]:
+    """Which objects are worth naming: those that explain their pixels better than all the others and the background.
+
+    Args:
+        stage: frames and background.
+        masks: of the objects.
+        motions: `prev_T_curr` of each.
+
+    Returns:
+        Indices to keep, in their order.
+    """
+    costs = [stage.cost(motion) for motion in motions]
+    keep = list(range(len(masks)))
+    # Weakest first, so that of two alike the weaker one goes and the other stays.
+    for k in sorted(keep, key=lambda k: int(masks[k].sum())):
+        others = [costs[j] for j in keep if j != k]
+        rival = np.minimum.reduce([stage.background_cost, *others])
+        gains = ((rival - costs[k]) * stage.telling)[masks[k]]
+        if gains.mean() < MIN_GAIN or gains.sum() < MIN_TOTAL_GAIN:
+            keep.remove(k)
+    return keep
+
+
+def _host(stage: Stage, mask: Mask, motion: Array, labels: NDArray[np.int32], verdicts: list[Verdict]) -> int | None:
+    """The larger neighbour whose motion explains a small piece's depth as well as its own does, if there is one.
+
+    Colour is left out here: where depth and colour are not registered to the pixel, an object's rim carries the
+    colour of what lies behind it, and some odd motion always finds that colour again.
+    """
+    around = labels[(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0) & ~mask]
+    best = float(stage.cost(motion, color=False)[mask].mean()) + 0.3
+    host = None
+    for number in np.unique(around[around > 0]):
+        if mask.sum() > 0.5 * (labels == number).sum():
+            continue
+        theirs = float(stage.cost(verdicts[number - 1].prev_T_curr, color=False)[mask].mean())
+        if theirs < best:
+            best, host = theirs, int(number)
+    return host
+
+
 def _moved(stage: Stage, mask: Mask, motion: Array) -> bool:
-    """Whether an object's displacement against the background exceeds what noise can feign."""
-    points = stage.points[mask & ~np.isnan(stage.points[..., 2])]
-    shift = np.linalg.norm(geometry.transform(motion, points) - geometry.transform(stage.background, points), axis=1)
+    """Whether an object's displacement against the background exceeds what noise and calibration can feign."""
+    points = stage.points[mask & stage.valid]
+    there = geometry.transform(stage.background, points)
+    shift = np.linalg.norm(geometry.transform(motion, points) - there, axis=1)
     z = float(np.median(points[:, 2]))
     noise = max(0.003, 1.5 * float(depth_sigma(np.array(z))), 0.5 * z / stage.curr.camera.fx)
+    # Depth cameras are a few percent off in scale; what the camera's own motion makes of that is no object's motion.
+    noise += 0.1 * float(np.median(np.linalg.norm(there - points, axis=1)))
     return bool(np.median(shift) > noise)
 
 
