@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from objectflow.synth.shapes.groups import NONE, X, Group, cube, dihedral, spin
+from objectflow.synth.shapes.groups import NONE, Group, X, cube, dihedral, spin
 from objectflow.synth.shapes.outline import circle, fluted, rectangle, rounded, superellipse
 from objectflow.synth.shapes.solid import Solid, join, loft
 from objectflow.synth.shapes.sweep import chain, plate, tube
@@ -149,7 +149,7 @@ def _dome(R: float, H: float, t: float, section: Array, flare: float = 0.0) -> S
     return vessel(curve, t, section, wedges=8, levels=2).moved((0, 0, curve[-1, 1]), UPSIDE_DOWN)
 
 
-def _brim(R: float, reach: float, spread: float, droop: float, aspect: float, t: float, low: float) -> Solid:
+def _brim(R: float, reach: float, *, spread: float, droop: float, aspect: float, t: float, low: float) -> Solid:
     """The crescent in front of a cap, towards +x."""
     angle = np.linspace(-spread, spread, 15)
     out = reach * np.sqrt(np.maximum(1 - (angle / spread) ** 2, 0)) + 0.002
@@ -174,7 +174,9 @@ def cap(rng: Generator) -> Shape:
         crown = vessel(rounded(roll, [0.02, 0.02, 0.01, 0.002]), 0.004, circle(40), wedges=10, levels=2)
         return join([crown.moved((0, 0, H), UPSIDE_DOWN), ball]), spin(0)
     section = superellipse(40, 2.0, rng.uniform(0.85, 0.95))
-    brim = _brim(R, rng.uniform(0.05, 0.07), 1.0, rng.uniform(0.004, 0.02), 0.9, 0.0035, 0.003)
+    brim = _brim(
+        R, rng.uniform(0.05, 0.07), spread=1.0, droop=rng.uniform(0.004, 0.02), aspect=0.9, t=0.0035, low=0.003
+    )
     button = turned(rounded([(0, -0.003), (0.008, -0.003), (0.007, 0.004), (0, 0.005)], 0.002), circle(16)).moved(
         (0, 0, H)
     )
@@ -198,7 +200,8 @@ def helmet(rng: Generator) -> Shape:
         return join([_dome(R, H, t, section), *ridges]), spin(2)
     if kind == 1:
         return _dome(R, H, t, section, flare=rng.uniform(0.015, 0.03)), spin(2)
-    return join([_dome(R, H, t, section), _brim(R, rng.uniform(0.03, 0.05), 1.1, 0.01, 0.8, 0.005, 0.008)]), NONE
+    peak = _brim(R, rng.uniform(0.03, 0.05), spread=1.1, droop=0.01, aspect=0.8, t=0.005, low=0.008)
+    return join([_dome(R, H, t, section), peak]), NONE
 
 
 def camera(rng: Generator) -> Shape:
@@ -243,8 +246,7 @@ def clock(rng: Generator) -> Shape:
         return join(pieces), NONE
     bend = np.linspace(0, np.pi, 15)
     arch = np.concatenate([[[-R, -R], [R, -R]], R * np.stack([np.cos(bend), 0.7 * np.sin(bend)], axis=1)])
-    turn = TO_Y @ np.diag([1.0, -1.0, -1.0])
-    body = plate(arch, depth * 1.6, 0.002).moved((0, depth * 0.8, 0), turn.T)
+    body = plate(arch, depth * 1.6, 0.002).moved((0, depth * 0.8, 0), TO_Y.T)
     face = turned(
         [(0, 0), (R * 0.7, 0), (R * 0.7, 0.012), (R * 0.6, 0.012), (R * 0.58, 0.006), (0, 0.006)],
         None,
@@ -270,7 +272,7 @@ def candle(rng: Generator) -> Shape:
 
         def section(z: float) -> Array:
             c, s = np.cos(rate * z / H), np.sin(rate * z / H)
-            return outline @ np.array([[c, s], [-s, c]])
+            return np.asarray(outline @ np.array([[c, s], [-s, c]]))
 
         wall = [(R, z) for z in np.linspace(0.0, H, 17)]
         solid = turned([(0, 0), *wall, (0, H)], section, hull)
@@ -280,7 +282,7 @@ def candle(rng: Generator) -> Shape:
     wick = wick.moved((0, 0, H - H / 0.8))
     dish = vessel(rounded([(0, 0), (0.035, 0), (0.052, 0.016)], 0.006), 0.003)
     bend = np.linspace(2.3, -2.3, 15)
-    loop = np.stack([0.066 + 0.016 * np.cos(bend), 0 * bend, 0.014 + 0.016 * np.sin(bend)], axis=1)
+    loop = np.stack([0.06 + 0.016 * np.cos(bend), 0 * bend, 0.014 + 0.016 * np.sin(bend)], axis=1)
     body = turned(rounded([(0, 0.002), (R, 0.002), (R, H), (R * 0.5, H), (0, H)], 0.003))
     return join([dish, body, wick, tube(loop, 0.0035, up=(0, 1, 0), parts=6)]), NONE
 

@@ -58,7 +58,7 @@ def loft(
         start_tip, end_tip: (3,) centres of the fans; the mean of the end ring when None.
         closed: the last ring joins the first (a torus); no fans then.
     """
-    M, K, _ = rings.shape
+    K = rings.shape[1]
     grid = np.concatenate([rings, rings[:, :1]], axis=1)  # the seam is doubled: u = 0 and u = 1
     if closed:
         grid = np.concatenate([grid, grid[:1]])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -42,7 +44,7 @@ def tube(
 def chain(rings: Array, parts: int) -> list[Array]:
     """Convex parts of a row of rings (M, K, 3): `parts` runs that share their end rings."""
     cuts = np.unique(np.linspace(0, len(rings) - 1, parts + 1).round().astype(int))
-    return [rings[start : stop + 1].reshape(-1, 3) for start, stop in zip(cuts[:-1], cuts[1:], strict=True)]
+    return [rings[start : stop + 1].reshape(-1, 3) for start, stop in itertools.pairwise(cuts)]
 
 
 def plate(outline: Array, height: float, bevel: float = 0.0, parts: list[Array] | None = None) -> Solid:

@@ -77,12 +77,14 @@ def can(rng: Generator) -> Shape:
     return turned(curve, hull_profile=[(0, 0), *outside, (0, H)]), spin(0)
 
 
-def _ear(R: float, low: float, high: float, reach: float, radius: float, parts: int = 5) -> Solid:
-    """A handle in the x-z plane that leaves a wall of radius R at two heights."""
+def _ear(wall: Array, heights: tuple[float, float], reach: float, radius: float, parts: int = 5) -> Solid:
+    """A handle in the x-z plane between two heights of a wall, given as its (r, z) points going up."""
     angle = np.linspace(np.pi / 2, -np.pi / 2, 13)
-    middle, half = (low + high) / 2, (high - low) / 2
     bend = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.7
-    path = np.stack([R + reach * bend, np.zeros(13), middle + half * np.sin(angle)], axis=1)
+    low, high = heights
+    z = (low + high) / 2 + (high - low) / 2 * np.sin(angle)
+    foot, top = np.interp(heights, wall[:, 1], wall[:, 0])
+    path = np.stack([foot + (top - foot) * (z - low) / (high - low) + reach * bend, 0 * z, z], axis=1)
     return tube(path, radius, superellipse(12, 2.4, 1.3)[:, ::-1], up=(0, 1, 0), parts=parts)
 
 
@@ -91,12 +93,8 @@ def mug(rng: Generator) -> Shape:
     R, H, t = rng.uniform(0.034, 0.046), rng.uniform(0.08, 0.115), rng.uniform(0.0035, 0.005)
     foot = R * rng.uniform(0.8, 1.0)
     curve = rounded([(0, 0), (foot, 0), (foot + (R - foot) * 0.6, H * 0.4), (R, H)], [0.006, 0.02])
-    handle = _ear(
-        R * 0.97 - t * 0.5, H * rng.uniform(0.2, 0.3), H * rng.uniform(0.72, 0.85), rng.uniform(0.024, 0.034), 0.0045
-    )
-    if foot < 0.93 * R:  # the handle's lower end follows the wall inwards
-        low = handle.vertices[:, 2] < H * 0.5
-        handle.vertices[low, 0] -= (R - foot) * 0.5 * (1 - handle.vertices[low, 2] / (H * 0.5))
+    heights = (H * rng.uniform(0.2, 0.3), H * rng.uniform(0.72, 0.85))
+    handle = _ear(curve - [t / 2, 0], heights, rng.uniform(0.024, 0.034), rng.uniform(0.004, 0.006))
     return join([vessel(curve, t), handle]), NONE
 
 
@@ -111,7 +109,7 @@ def cup(rng: Generator) -> Shape:
     if kind == 1:
         facets = int(rng.choice([5, 6, 8]))
         return vessel(curve, t, polygon(facets, 4), wedges=2 * facets), spin(facets)
-    ear = _ear(foot + (R - foot) * 0.5 - t * 0.5, H * 0.35, H * 0.7, 0.025, 0.004, parts=4)
+    ear = _ear(curve - [t / 2, 0], (H * 0.35, H * 0.7), 0.025, 0.004, parts=4)
     return join([vessel(curve, t), ear, ear.moved(rotation=HALF_TURN)]), spin(2)
 
 
@@ -130,7 +128,7 @@ def jar(rng: Generator) -> Shape:
         lid = [(0, H - 0.004), (mouth, H - 0.004), (rim, H - 0.002), (rim, top), (knob * 0.7, top + 0.004)]
         lid += [(knob * 0.7, top + 0.008), (knob, top + 0.012), (knob * 0.8, top + 0.02), (0, top + 0.021)]
         return join([body, turned(lid)]), spin(0)
-    ear = _ear(R * 0.86, H * 0.5, H * 0.86, 0.02 + R * 0.1, 0.0045, parts=3)
+    ear = _ear(curve - [t / 2, 0], (H * 0.5, H * 0.86), 0.018 + R * 0.1, 0.0045, parts=4)
     return join([body, ear, ear.moved(rotation=HALF_TURN)]), spin(2)
 
 

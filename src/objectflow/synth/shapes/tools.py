@@ -79,10 +79,10 @@ def hammer(rng: Generator) -> Shape:
         return join([handle, turned(curve).moved(at, TO_X)]), spin(2)
     R, face, tail = rng.uniform(0.012, 0.016), rng.uniform(0.03, 0.04), rng.uniform(0.05, 0.06)
     s = np.linspace(0, 1, 8)
-    half = np.stack([R * (1 - 0.8 * s), R * (1 - 0.25 * s)], axis=1)  # the tail flattens to an edge
+    taper = np.stack([R * (1 - 0.8 * s), R * (1 - 0.25 * s)], axis=1)  # the tail flattens to an edge
     outline = superellipse(16, 3.0)
     rings = np.concatenate(
-        [outline[None] * half[:, None, ::-1], np.broadcast_to((-tail * s)[:, None, None], (8, 16, 1))], axis=-1
+        [outline[None] * taper[:, None, ::-1], np.broadcast_to((-tail * s)[:, None, None], (8, 16, 1))], axis=-1
     )
     rings[:, :, 0] -= R * 0.9 * (s**2)[:, None]  # and bends towards the handle
     peen = loft(rings, chain(rings, 3)).moved(at, TO_X)
