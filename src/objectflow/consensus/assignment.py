@@ -112,11 +112,13 @@ def nearness_cost(points: Floats, anchors: Floats, reach: float) -> Floats:
         anchors: (N, 3) metres.
         reach: metres that cost nothing; twice as far costs 1.
     """
-    flat = np.nan_to_num(points, nan=1e3).reshape(-1, 3)
+    height, width = points.shape[:2]
+    # Distance is smooth: a third of the pixels each way, and the rest between them, at a ninth of the time.
+    coarse = np.nan_to_num(points[1::3, 1::3], nan=1e3)
     thinned = anchors[:: max(1, len(anchors) // 500)]
-    distance, _ = cKDTree(thinned).query(flat, distance_upper_bound=4 * reach, workers=1)
-    far = np.clip(distance / reach - 1, 0, 2)
-    return (far**2).reshape(points.shape[:2]).astype(np.float32)
+    distance, _ = cKDTree(thinned).query(coarse.reshape(-1, 3), distance_upper_bound=4 * reach)
+    far = np.clip(distance / reach - 1, 0, 2).reshape(coarse.shape[:2]) ** 2
+    return np.asarray(cv2.resize(far.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 class PixelGraph:

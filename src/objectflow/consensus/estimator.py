@@ -17,6 +17,7 @@ from objectflow import correspondence, geometry, rigid
 from objectflow.consensus import assignment, verdict
 from objectflow.consensus.background import background_motion
 from objectflow.consensus.proposals import propose
+from objectflow.consensus.seek import seek
 from objectflow.correspondence import Matches
 from objectflow.errors import MethodError
 from objectflow.estimator import check_camera_option
@@ -84,8 +85,15 @@ class Consensus:
         prev_s, curr_s = _narrow(prev, self.label_width), _narrow(curr, self.label_width)
         stage = verdict.Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         masks: list[Mask] = []
-        for _ in range(self.rounds):
+        for number in range(self.rounds):
+            before = masks
             masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers)
+            if number == 0:
+                motions = [h.prev_T_curr for h in hypotheses]
+                more = seek(stage, masks, motions, target, curr_m, movers)
+                hypotheses += [Hypothesis(f.prev_T_curr, stage.points[f.mask], f.matches, f.mask) for f in more]
+            elif _settled(before, masks):
+                break
         # 5. Keep what stands: objects that moved, and regions that no motion explains.
         labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
         # 6. The full image: sharp labels, and the flow made again from the motions.
@@ -113,7 +121,7 @@ class Consensus:
         for number, hypothesis in enumerate(hypotheses, 1):
             for mask in stage.split(np.where(labels == number, 1, 0).astype(np.int32)):
                 own = movers[verdict.inside(mask, movers, curr.camera)]
-                source = rigid.make_source(curr, verdict.enlarge(mask, curr))
+                source = rigid.make_source(curr, verdict.enlarge(mask, curr), limit=2500)
                 start = hypothesis.prev_T_curr
                 if len(own.curr) >= 6:
                     start = min(start, rigid.fit_matches(own, curr.camera)[0], key=lambda T: _misfit(T, own, curr))
@@ -182,6 +190,13 @@ def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:
     """Matches that the background's motion leaves further off than noise does."""
     error = np.linalg.norm(geometry.transform(background, matches.curr) - matches.prev, axis=1)
     return matches[error > 3 * match_sigma(matches.curr[:, 2], curr.camera)]
+
+
+def _settled(before: list[Mask], after: list[Mask]) -> bool:
+    """Whether a round changed next to nothing."""
+    if len(before) != len(after):
+        return False
+    return all((old != new).sum() < 0.01 * new.sum() for old, new in zip(before, after, strict=True))
 
 
 def _misfit(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> float:

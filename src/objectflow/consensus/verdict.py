@@ -45,6 +45,7 @@ class Stage:
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
         self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
         self.background = np.eye(4) if camera_motion is None else camera_motion
+        self._costs: dict[tuple[bytes, bool], Floats] = {}
         self.points = geometry.back_project(curr.depth, curr.camera)
         self.valid = curr.valid
         self.graph = assignment.PixelGraph(curr)
@@ -57,7 +58,11 @@ class Stage:
 
     def cost(self, prev_T_curr: Array, *, color: bool = True) -> Floats:
         """(H, W) cost of a motion; see `assignment.motion_cost`."""
-        return assignment.motion_cost(self.prev, self.points, prev_T_curr, self.looks if color else None)[0]
+        key = (prev_T_curr.tobytes(), color)
+        if key not in self._costs:
+            looks = self.looks if color else None
+            self._costs[key] = assignment.motion_cost(self.prev, self.points, prev_T_curr, looks)[0]
+        return self._costs[key]
 
     def assign(self, motions: list[Array], anchors: list[Floats], masks: list[Mask]) -> NDArray[np.int32]:
         """Labels by cost, nearness and the walk along surfaces.

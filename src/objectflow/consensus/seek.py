@@ -1,0 +1,118 @@
+"""A second look at what the first round left unexplained: motions that too few matches agreed on.
+
+Small round things turn their texture away, and dull ones have none. What they still show is where they are now and
+where something vanished; alignment by depth and colour does the rest.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from objectflow import geometry, rigid
+from objectflow.consensus import assignment
+from objectflow.consensus.verdict import MIN_GAIN, Stage, enlarge, inside
+from objectflow.correspondence import Matches
+from objectflow.frame import RgbdFrame
+from objectflow.noise import match_sigma
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_REGIONS = 6
+REACH = 0.3
+"""Metres; nothing is sought further away than this."""
+
+
+class Found(NamedTuple):
+    """A region and the motion that explains it."""
+
+    prev_T_curr: Array
+    mask: Mask
+    matches: Matches
+
+
+def seek(
+    stage: Stage, masks: list[Mask], motions: list[Array], target: rigid.Target, curr: RgbdFrame, movers: Matches
+) -> list[Found]:
+    """Motions of regions that neither the background nor any known motion explains.
+
+    Args:
+        stage: frames and background, at the size of the masks.
+        masks: of the objects known so far.
+        motions: `prev_T_curr` of each.
+        target: the previous frame for `rigid`.
+        curr: the current frame at the target's size.
+        movers: matches that do not follow the background.
+    """
+    claimed = np.zeros(stage.valid.shape, bool)
+    for mask in masks:
+        claimed |= mask
+    doubtful = (stage.background_cost >= 1.5) & stage.valid & ~stage.hidden & ~claimed
+    vanished = _vanished(stage)
+    found = []
+    for region in _regions(doubtful, stage.min_pixels):
+        wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & stage.valid
+        own = movers[inside(wide, movers, curr.camera)]
+        best: tuple[float, Array] | None = None
+        source = rigid.make_source(curr, enlarge(wide, curr), limit=1500)
+        for start in _starts(stage, region, own, vanished):
+            motion = rigid.refine(target, source, start, matches=_agreeing(own, start, curr)).prev_T_curr
+            cost = float(stage.cost(motion)[region].mean())
+            if best is None or cost < best[0]:
+                best = cost, motion
+        rival = np.minimum.reduce([stage.background_cost, *(stage.cost(motion) for motion in motions)])
+        if best is not None and best[0] < float(rival[region].mean()) - 2 * MIN_GAIN:
+            found.append(Found(best[1], region, _agreeing(own, best[1], curr)))
+    return found
+
+
+def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
+    """The largest connected doubtful regions, without specks and rims."""
+    core = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+    numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
+    ranked = [n for n in np.argsort(-sizes)[:MAX_REGIONS] if sizes[n] >= min_pixels // 2]
+    return [numbers == n + 1 for n in ranked]
+
+
+def _vanished(stage: Stage) -> list[NDArray[np.float32]]:
+    """Points of the previous frame that are gone: each region of them as (N, 3)."""
+    points = geometry.back_project(stage.prev.depth, stage.prev.camera)
+    cost, hidden = assignment.motion_cost(
+        stage.curr, points, geometry.inverse(stage.background), (stage.looks[1], stage.looks[0])
+    )
+    gone = (cost >= 1.5) & stage.prev.valid & ~hidden
+    return [points[region] for region in _regions(gone, stage.min_pixels)]
+
+
+def _starts(stage: Stage, region: Mask, own: Matches, vanished: list[NDArray[np.float32]]) -> list[Array]:
+    """Where to begin: the matches' own fit and their median shift, each place where something vanished."""
+    center = np.median(stage.points[region], axis=0).astype(np.float64)
+    here = geometry.transform(stage.background, center)
+    starts = []
+    if len(own.curr) >= 3:
+        starts.append(_shifted(stage.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
+    if len(own.curr) >= 6:
+        starts.append(rigid.fit_matches(own, stage.curr.camera)[0])
+    for points in vanished:
+        shift = np.median(points, axis=0) - here
+        if np.linalg.norm(shift) < REACH:
+            # Rims overlap: what is newly covered lies ahead of the object, what is laid bare behind it.
+            starts += [_shifted(stage.background, shift), _shifted(stage.background, 0.5 * shift)]
+    return starts
+
+
+def _shifted(background: Array, shift: NDArray[np.floating]) -> Array:
+    moved = background.copy()
+    moved[:3, 3] += shift
+    return moved
+
+
+def _agreeing(matches: Matches, prev_T_curr: Array, curr: RgbdFrame) -> Matches:
+    error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
+    return matches[error < 4 * match_sigma(matches.curr[:, 2], curr.camera)]
