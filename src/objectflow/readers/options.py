@@ -1,0 +1,85 @@
+"""Which camera took the images: a file beside them, a named camera, or four numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from objectflow.errors import ReaderError
+from objectflow.frame import Camera, check_depth_scale, read_color
+
+DEFAULT_DEPTH_SCALE = 1000.0
+"""Depth units a metre where nobody says otherwise: most depth cameras write millimetres."""
+
+NAMED_CAMERAS: dict[str, Camera] = {
+    "fr1": Camera(width=640, height=480, fx=517.3, fy=516.5, cx=318.6, cy=255.3),
+    "fr2": Camera(width=640, height=480, fx=520.9, fy=521.0, cx=325.1, cy=249.7),
+    "fr3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6),
+}
+"""The three colour cameras of the TUM RGB-D benchmark, as its file-format page lists them."""
+
+
+class CameraSetup(NamedTuple):
+    """A camera and its depth units a metre."""
+
+    camera: Camera
+    depth_scale: float
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """What the caller knows about the camera; whatever is None is looked for beside the images.
+
+    Attributes:
+        camera_file: a `camera.json`, or a name of `NAMED_CAMERAS`.
+        intrinsics: fx, fy, cx, cy in pixels, for the images' own size.
+        depth_scale: depth units a metre; wins over the camera file's.
+    """
+
+    camera_file: Path | None = None
+    intrinsics: tuple[float, float, float, float] | None = None
+    depth_scale: float | None = None
+
+    def resolve(self, folder: Path, first_color: Path, default_scale: float = DEFAULT_DEPTH_SCALE) -> CameraSetup:
+        """Find the camera of a folder of images.
+
+        Args:
+            folder: where a `camera.json` may lie.
+            first_color: a colour image of the source, to check the camera's size against.
+            default_scale: depth units a metre if neither the caller nor the file says it.
+
+        Raises:
+            ReaderError: no camera, two of them, or one of another image size; a file that cannot be read.
+            CameraError: values that make no camera.
+            FrameError: a depth scale that is none.
+        """
+        if self.camera_file is not None and self.intrinsics is not None:
+            raise ReaderError("both a camera file and intrinsics are given: leave one out")
+        if self.depth_scale is not None:
+            check_depth_scale(self.depth_scale)
+        height, width = read_color(first_color).shape[:2]
+        if self.intrinsics is not None:
+            fx, fy, cx, cy = self.intrinsics
+            camera, scale = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy), None
+        else:
+            camera, scale = self._read_file(folder)
+        if (camera.width, camera.height) != (width, height):
+            raise ReaderError(
+                f"{self.camera_file or folder / 'camera.json'}: the camera is {camera.width}x{camera.height}, "
+                f"but {first_color} is {width}x{height}: give the intrinsics of that size"
+            )
+        return CameraSetup(camera, self.depth_scale or scale or default_scale)
+
+    def _read_file(self, folder: Path) -> tuple[Camera, float | None]:
+        path = self.camera_file
+        if path is not None and str(path) in NAMED_CAMERAS and not path.exists():
+            return NAMED_CAMERAS[str(path)], None
+        if path is None:
+            path = folder / "camera.json"
+            if not path.exists():
+                raise ReaderError(
+                    f"{folder}: no camera.json there: give --camera-file FILE (or {', '.join(NAMED_CAMERAS)} "
+                    "for the TUM cameras) or --intrinsics fx fy cx cy"
+                )
+        return Camera.read(path)
