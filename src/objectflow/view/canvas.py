@@ -1,0 +1,106 @@
+"""A picture to draw on: anti-aliased shapes and text with OpenCV, in RGB and in fractions of a pixel."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.view.colors import Rgb
+
+Image = NDArray[np.uint8]
+Point = tuple[float, float]
+
+_SHIFT = 4
+"""OpenCV's fixed-point bits: 1/16 pixel."""
+
+
+def blend(image: Image, color: Rgb, alpha: NDArray[Any]) -> Image:
+    """Lay a colour over an (H, W, 3) image with an (H, W) opacity in 0..1."""
+    opacity = np.asarray(alpha, dtype=np.float32)[..., None]
+    mixed = image.astype(np.float32)
+    mixed += (np.array(color, dtype=np.float32) - mixed) * opacity
+    return np.rint(mixed).astype(np.uint8)
+
+
+def polygon(image: Image, points: list[Point], color: Rgb) -> None:
+    """Fill a convex polygon."""
+    cv2.fillConvexPoly(image, _fixed(points), color, cv2.LINE_AA, _SHIFT)
+
+
+def line(image: Image, points: list[Point], color: Rgb, width: int) -> None:
+    """Draw an open polyline."""
+    cv2.polylines(image, [_fixed(points)], False, color, max(1, width), cv2.LINE_AA, _SHIFT)
+
+
+def disk(image: Image, center: Point, radius: float, color: Rgb) -> None:
+    """Fill a circle."""
+    x, y = _fixed([center])[0]
+    cv2.circle(image, (int(x), int(y)), round(radius * 2**_SHIFT), color, -1, cv2.LINE_AA, _SHIFT)
+
+
+def arrow(image: Image, start: Point, end: Point, color: Rgb, width: float, edge: Rgb) -> None:
+    """Draw an arrow with a solid head and a rim in `edge` that keeps it readable on any ground."""
+    a, b = np.array(start), np.array(end)
+    length = float(np.linalg.norm(b - a))
+    if length < 1e-6:
+        return
+    along = (b - a) / length
+    side = np.array([-along[1], along[0]])
+    # A short arrow is mostly head.
+    head = min(4.2 * width, 0.75 * length)
+    neck = b - along * head
+    for rim, shade in ((max(1.5, 0.45 * width), edge), (0.0, color)):
+        half = width / 2 + rim
+        tail = a - along * rim
+        shaft = [tail + side * half, neck + side * half, neck - side * half, tail - side * half]
+        wing = 0.52 * head + 1.3 * rim
+        tip = [b + along * 1.8 * rim, neck - along * rim + side * wing, neck - along * rim - side * wing]
+        for shape in (shaft, tip):
+            polygon(image, [(float(x), float(y)) for x, y in shape], shade)
+
+
+def text_size(text: str, size: float, *, bold: bool = False) -> tuple[float, float]:
+    """Width and height of capitals of a line of text, in pixels, drawn with `size` pixels a line."""
+    if hasattr(cv2, "FontFace"):
+        x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), _points(size), 600 if bold else 400)
+        return float(x + width), 0.72 * size
+    (width, _), _ = cv2.getTextSize(_ascii(text), cv2.FONT_HERSHEY_DUPLEX, size / 30, _stroke(size, bold))
+    return float(width), 0.72 * size
+
+
+def write(
+    image: Image, text: str, left: float, baseline: float, size: float, color: Rgb, *, bold: bool = False
+) -> None:
+    """Write a line of text; `left` and `baseline` are where its first letter stands."""
+    origin = (round(left), round(baseline))
+    if hasattr(cv2, "FontFace"):
+        # OpenCV 5 brings a real font.
+        cv2.putText(image, text, origin, color, _font(), _points(size), 600 if bold else 400)
+    else:
+        cv2.putText(
+            image, _ascii(text), origin, cv2.FONT_HERSHEY_DUPLEX, size / 30, color, _stroke(size, bold), cv2.LINE_AA
+        )
+
+
+def _font() -> Any:
+    return cv2.FontFace("sans")
+
+
+def _ascii(text: str) -> str:
+    """OpenCV 4's stroke font has no degree sign."""
+    return text.replace("°", " deg")
+
+
+def _points(size: float) -> int:
+    return max(6, round(size))
+
+
+def _stroke(size: float, bold: bool) -> int:
+    return max(1, round(size / 16)) + int(bold)
+
+
+def _fixed(points: list[Point]) -> NDArray[np.int32]:
+    return np.asarray(np.rint(np.array(points, dtype=np.float64) * 2**_SHIFT), dtype=np.int32)
