@@ -1,0 +1,48 @@
+"""The arguments that `estimate` and `run` share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from objectflow.estimator import DEFAULT_METHOD, Estimator, load
+from objectflow.readers import CameraOptions
+
+
+def option(metavar: str, default: str = "") -> Any:
+    """Say in `--help` what an option takes and what happens without it, in words."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodArguments:
+    """Camera, method and output."""
+
+    camera_file: Annotated[Path | None, option("FILE", "camera.json beside the images")] = None
+    """JSON with width, height, fx, fy, cx, cy and perhaps depth_scale; or fr1, fr2, fr3, the TUM cameras."""
+
+    intrinsics: Annotated[tuple[float, float, float, float] | None, option("FX FY CX CY")] = None
+    """Intrinsics in pixels, instead of a camera file."""
+
+    depth_scale: Annotated[float | None, option("S", "the camera file's, or 1000; 5000 for a TUM directory")] = None
+    """Depth units a metre."""
+
+    method: Annotated[str, option("NAME", DEFAULT_METHOD)] = DEFAULT_METHOD
+    """How to estimate; `objectflow methods` lists the choices."""
+
+    camera: Literal["auto", "static", "moving"] = "auto"
+    """Whether the camera itself moved between the frames; auto decides by the background."""
+
+    out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
+    """Output folder, new or empty; an earlier result of the same kind may be there."""
+
+    def camera_options(self) -> CameraOptions:
+        """What the readers need."""
+        return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale)
+
+    def estimator(self) -> Estimator:
+        """The method, ready to be called."""
+        return load(self.method, camera=self.camera)

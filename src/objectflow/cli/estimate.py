@@ -1,0 +1,53 @@
+"""`objectflow estimate`: one pair of frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional
+
+from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.output import new_result, print_objects, write_result
+from objectflow.errors import ReaderError
+from objectflow.frame import check_pair
+from objectflow.readers import FrameSequence, open_files, open_pair
+
+EXAMPLES = """\
+  objectflow estimate PAIR_DIR
+  objectflow estimate PAIR_DIR --camera moving --out result
+  objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240
+  objectflow estimate color0.png depth0.png color1.png depth1.png --camera-file camera.json --depth-scale 5000
+"""
+
+
+@dataclass(frozen=True)
+class Estimate(MethodArguments):
+    """Find the moving objects, their motions and the scene flow between two RGB-D frames.
+
+    Writes labels.png, scene_flow.npy, objects.json, overlay.png and flow.png.
+    """
+
+    paths: Annotated[Positional[tuple[Path, ...]], option("PAIR_DIR | COLOR0 DEPTH0 COLOR1 DEPTH1")]
+    """A pair folder (color0, depth0, color1, depth1, camera.json), or four files; 0 = previous, 1 = current."""
+
+    def run(self) -> None:
+        """Read, estimate, write, print."""
+        estimator = self.estimator()
+        prev, curr = self._open()
+        check_pair(prev, curr)
+        with new_result(self.out) as (folder, path):
+            motion = estimator(prev, curr)
+            write_result(folder, curr, motion)
+        print_objects(motion)
+        print(f"written to {path}")
+
+    def _open(self) -> FrameSequence:
+        if len(self.paths) == 1:
+            return open_pair(self.paths[0], self.camera_options())
+        if len(self.paths) == 4:
+            return open_files(*self.paths, options=self.camera_options())
+        raise ReaderError(
+            f"expected a pair folder or four files (COLOR0 DEPTH0 COLOR1 DEPTH1), not {len(self.paths)} paths"
+        )

@@ -1,0 +1,59 @@
+"""`objectflow info`: what to paste into a bug report."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from importlib import metadata, resources
+
+from rich.console import Console
+from rich.table import Table
+
+EXAMPLES = "  objectflow info\n"
+
+LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "torch", "tyro", "rich", "safetensors")
+OPTIONAL_LIBRARIES = ("mujoco", "mujoco-warp", "trimesh", "coacd", "pyarrow", "pybullet", "ray")
+
+
+@dataclass(frozen=True)
+class Info:
+    """Print the versions, the devices and the weights that objectflow finds."""
+
+    def run(self) -> None:
+        """Print the table."""
+        import torch
+
+        import objectflow
+
+        table = Table(box=None, pad_edge=False, show_header=False)
+        table.add_row("objectflow", objectflow.__version__)
+        table.add_row("python", f"{platform.python_version()} on {platform.platform()}")
+        for name in LIBRARIES:
+            table.add_row(name, _version(name) or "not installed")
+        for name in OPTIONAL_LIBRARIES:
+            version = _version(name)
+            table.add_row(name, f"{version} (optional)" if version else "not installed (optional)")
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        table.add_row("cpu", f"{cores} cores, {torch.get_num_threads()} threads in torch")
+        for index in range(torch.cuda.device_count()):
+            memory = torch.cuda.get_device_properties(index).total_memory / 2**30
+            table.add_row(f"cuda:{index}", f"{torch.cuda.get_device_name(index)}, {memory:.0f} GiB")
+        if not torch.cuda.is_available():
+            table.add_row("cuda", "no device")
+        table.add_row("weights", ", ".join(_weights()) or "none")
+        Console(highlight=False).print(table)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _weights() -> list[str]:
+    folder = resources.files("objectflow") / "weights"
+    if not folder.is_dir():
+        return []
+    return sorted(file.name for file in folder.iterdir() if file.name.endswith(".safetensors"))

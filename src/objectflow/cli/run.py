@@ -1,0 +1,189 @@
+"""`objectflow run`: every consecutive pair of a sequence, continued by the same command if it was cut off."""
+
+from __future__ import annotations
+
+import fcntl
+import itertools
+import json
+import shutil
+import statistics
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+from tyro.conf import Positional
+
+from objectflow import __version__, files
+from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
+from objectflow.errors import ReaderError, ResultError, StorageError
+from objectflow.frame import check_pair
+from objectflow.motion import SceneMotion
+from objectflow.readers import FrameSequence, open_source
+
+EXAMPLES = """\
+  objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
+  objectflow run recording --every 5 --camera moving --out result
+  objectflow run recording --intrinsics 615 615 320 240 --depth-scale 1000
+"""
+
+SETTINGS = "settings.json"
+SUMMARY = "summary.csv"
+LONGEST_TABLE = 40
+
+
+@dataclass(frozen=True)
+class Run(MethodArguments):
+    """Estimate every consecutive pair of a sequence: one result folder a pair, and a table.
+
+    The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt) or a folder of numbered frames
+    (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png). Finished pairs are skipped.
+    """
+
+    source: Annotated[Positional[Path], option("SOURCE")]
+    """The sequence; its kind is found by looking."""
+
+    every: int = 1
+    """Take every N-th frame."""
+
+    def run(self) -> None:
+        """Read, estimate and write pair by pair."""
+        estimator = self.estimator()
+        sequence = open_source(self.source, self.camera_options())
+        pairs = self._pairs(sequence)
+        # A source whose first frames are bad must leave no output folder behind.
+        check_pair(*(sequence[index] for index in pairs[0]))
+        out = self.out or OUTPUT_ROOT / self.source.resolve().name
+        with _claim(out, self._settings(sequence)):
+            if self.out is None:
+                link_latest(out)
+            todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
+            with Progress(console=Console(stderr=True), transient=True) as progress:
+                task = progress.add_task("pairs", total=len(pairs), completed=len(pairs) - len(todo))
+                last = None
+                for prev_index, curr_index in todo:
+                    prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
+                    curr = sequence[curr_index]
+                    check_pair(prev, curr)
+                    with files.new_folder(out / _name((prev_index, curr_index))) as folder:
+                        write_result(folder, curr, estimator(prev, curr))
+                    last = (curr_index, curr)
+                    progress.advance(task)
+            _summarise(out, pairs, skipped=len(pairs) - len(todo))
+        print(f"written to {out}")
+
+    def _pairs(self, sequence: FrameSequence) -> list[tuple[int, int]]:
+        if self.every < 1:
+            raise ReaderError(f"--every must be at least 1, not {self.every}")
+        indices = range(0, len(sequence), self.every)
+        if len(indices) < 2:
+            raise ReaderError(
+                f"{self.source}: {len(sequence)} frame{'s' * (len(sequence) != 1)}, every {self.every} taken: "
+                "a pair needs two"
+            )
+        return list(itertools.pairwise(indices))
+
+    def _settings(self, sequence: FrameSequence) -> dict[str, Any]:
+        """Everything that the results depend on."""
+        return {
+            "source": str(self.source.resolve()),
+            "every": self.every,
+            "method": self.method,
+            "camera": self.camera,
+            "intrinsics": sequence.camera.to_dict(),
+            "depth_scale": sequence.depth_scale,
+            "version": __version__,
+        }
+
+
+@contextmanager
+def _claim(out: Path, settings: dict[str, Any]) -> Iterator[None]:
+    """Make the output folder, or take up an earlier run's with the same settings; hold it for this process.
+
+    Raises:
+        ResultError: the folder holds something else, other settings, or another process writes there.
+        StorageError: the disk refused.
+    """
+    check_not_below_a_file(out)
+    if out.exists() and not out.is_dir():
+        raise ResultError(f"{out} is a file, not a folder: name another output folder")
+    if not out.is_dir() or not any(out.iterdir()):
+        with files.new_folder(out) as folder:
+            files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
+    _check_settings(out, settings)
+    try:
+        with open(out / SETTINGS) as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise ResultError(
+                    f"{out}: another run is writing there: wait, or name another output folder"
+                ) from None
+            for leftover in out.glob(".pair_*.tmp"):
+                shutil.rmtree(leftover, ignore_errors=True)
+            yield
+    except OSError as error:
+        raise StorageError(f"cannot write {out}: {error.strerror or error}") from error
+
+
+def _check_settings(out: Path, settings: dict[str, Any]) -> None:
+    try:
+        earlier = json.loads((out / SETTINGS).read_text())
+    except FileNotFoundError:
+        raise ResultError(f"{out} exists and is no earlier run: name another output folder") from None
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{out / SETTINGS}: cannot be read: {error}") from error
+    if not isinstance(earlier, dict):
+        raise ResultError(f"{out / SETTINGS}: not the settings of a run")
+    for name, value in settings.items():
+        if earlier.get(name) != value:
+            raise ResultError(
+                f"{out} was made with {name} = {earlier.get(name)}, now it is {value}: name another output folder"
+            )
+
+
+def _name(pair: tuple[int, int]) -> str:
+    return f"pair_{pair[0]:06d}_{pair[1]:06d}"
+
+
+def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
+    """Write and print one line a pair, read back from the results, so that a continued run says the same."""
+    columns = ("prev", "curr", "objects", "moving", "largest motion cm", "camera cm", "seconds")
+    rows = [_row(pair, SceneMotion.load(out / _name(pair))) for pair in pairs]
+    lines = [",".join(name.replace(" ", "_") for name in columns)] + [",".join(row) for row in rows]
+    files.write_text(out / SUMMARY, "\n".join(lines) + "\n")
+    shown = rows if len(rows) <= LONGEST_TABLE else [row for row in rows if row[3] != "0"][:LONGEST_TABLE]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in columns:
+        table.add_column(name, justify="right")
+    for row in shown:
+        table.add_row(*row)
+    console = Console(highlight=False)
+    console.print(table)
+    if len(shown) < len(rows):
+        console.print(f"({len(rows) - len(shown)} more rows in {out / SUMMARY})")
+    moving = sum(row[3] != "0" for row in rows)
+    seconds = statistics.median(float(row[6]) for row in rows)
+    again = f", {skipped} of them done before" if skipped else ""
+    console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
+
+
+def _row(pair: tuple[int, int], motion: SceneMotion) -> tuple[str, ...]:
+    moving = [obj for obj in motion.objects if obj.moving]
+    largest = max((100 * float(np.linalg.norm(obj.translation)) for obj in moving), default=0.0)
+    camera = 0.0 if motion.camera_motion is None else 100 * float(np.linalg.norm(motion.camera_motion[:3, 3]))
+    return (
+        str(pair[0]),
+        str(pair[1]),
+        str(len(motion.objects)),
+        str(len(moving)),
+        f"{largest:.1f}",
+        f"{camera:.1f}",
+        f"{motion.seconds:.2f}",
+    )
