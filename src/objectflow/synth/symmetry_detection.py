@@ -12,7 +12,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from objectflow.geometry import kabsch, so3_exp, so3_log
+from objectflow.geometry import kabsch, rotation_angle, so3_exp, so3_log
 from objectflow.synth.model import SymmetryAxis
 from objectflow.synth.shapes.solid import surface_center
 
@@ -25,8 +25,9 @@ _QUANTILE = 0.985
 """Share of the surface that must come to lie on itself: a smaller detail does not count."""
 _EQUAL_MOMENTS = 0.05
 """Principal moments that differ by less, as a share of the largest, leave their directions open."""
-_MOST_AXES = 31
-"""What the icosahedron has: a list that wants to grow further is no group."""
+_LARGEST_GROUP = 60
+"""The icosahedron's: turns that generate more are no finite group of a solid."""
+_SAME_TURN = np.deg2rad(10.0)
 _NEIGHBOURS = 12
 """Samples whose triangles are tried: enough to see both sides of a thin wall."""
 _SAME_AXIS = np.cos(np.deg2rad(6.0))
@@ -95,14 +96,28 @@ class _Axes:
             flip = across[0] - (across[0] @ spinning[0]) * spinning[0] if across else None
             axes = [(spinning[0], 0)] + ([(flip / np.linalg.norm(flip), 2)] if flip is not None else [])
             return tuple(_symmetry_axis(*item) for item in axes)
-        complete = list(self._found)
-        for axis, order in complete:  # grows while it is walked; ends because the groups are small
-            for other, other_order in list(complete):
-                for by, n, turned, kind in ((axis, order, other, other_order), (other, other_order, axis, order)):
-                    image = so3_exp(2 * np.pi / n * by) @ turned
-                    if len(complete) < _MOST_AXES and not any(abs(image @ seen) > _SAME_AXIS for seen, _ in complete):
-                        complete.append((image, kind))
-        return tuple(_symmetry_axis(*item) for item in sorted(complete, key=lambda item: -item[1]))
+        return tuple(_symmetry_axis(*item) for item in sorted(_completed(self._found), key=lambda item: -item[1]))
+
+
+def _completed(found: list[tuple[Array, int]]) -> list[tuple[Array, int]]:
+    """All axes of the finite group that some axes generate: multiply its turns until nothing new comes out."""
+    generators = [so3_exp(2 * np.pi / order * axis) for axis, order in found]
+    group = [np.eye(3)]
+    for element in group:  # grows while it is walked
+        for generator in generators:
+            product = generator @ element
+            if len(group) < _LARGEST_GROUP and min(rotation_angle(product @ g.T) for g in group) > _SAME_TURN:
+                group.append(product)
+    out = list(found)
+    for element in group[1:]:
+        axis = so3_log(element) / rotation_angle(element)
+        if not any(abs(axis @ seen) > _SAME_AXIS for seen, _ in out):
+            out.append((axis, 1 + sum(_turns_about(g, axis) for g in group[1:])))
+    return out
+
+
+def _turns_about(rotation: Array, axis: Array) -> bool:
+    return bool(abs(so3_log(rotation) @ axis) > _SAME_AXIS * rotation_angle(rotation))
 
 
 def _symmetry_axis(axis: Array, order: int) -> SymmetryAxis:
