@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -91,12 +93,27 @@ def _dispatch(words: list[str]) -> int:
 
     if any(word in ("-h", "--help") for word in words[1:]):
         print(f"Examples:\n{module.EXAMPLES}")
+    complaint = io.StringIO()
     try:
-        verb: Verb = tyro.cli(getattr(module, entry.dataclass), args=words[1:], prog=f"objectflow {words[0]}")
+        with contextlib.redirect_stderr(complaint):
+            verb: Verb = tyro.cli(getattr(module, entry.dataclass), args=words[1:], prog=f"objectflow {words[0]}")
     except SystemExit as error:
-        return error.code if isinstance(error.code, int) else EXIT_BAD_INPUT
+        if not error.code:
+            return 0
+        return _fail(f"{_unboxed(complaint.getvalue())} (see objectflow {words[0]} --help)", EXIT_BAD_INPUT)
     verb.run()
     return 0
+
+
+def _unboxed(text: str) -> str:
+    """The sentence inside the box that the argument parser draws, up to its first rule."""
+    lines = []
+    for line in text.splitlines()[1:]:
+        inner = line.strip("│ ")
+        if inner.startswith(("──", "╰")):
+            break
+        lines.append(inner)
+    return " ".join(lines).replace("[bold]", "").replace("[/bold]", "") or "arguments that cannot be understood"
 
 
 def _overview() -> str:

@@ -117,7 +117,7 @@ def print_comparison(truth: Truth, curr: RgbdFrame, motion: SceneMotion) -> None
     console = Console(highlight=False)
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("what moved")
-    for name in ("true cm", "true deg", "found as", "IoU", "translation error mm", "rotation error deg"):
+    for name in ("true cm", "true deg", "found as", "IoU", "off by mm", "off by deg"):
         table.add_column(name, justify="right")
     matched = set()
     for index in np.flatnonzero(truth.moving):

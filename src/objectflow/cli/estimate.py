@@ -9,7 +9,7 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import MethodArguments, option
-from objectflow.cli.output import new_result, print_objects, write_result
+from objectflow.cli.output import new_result, print_objects, quiet_libraries, write_result
 from objectflow.errors import ReaderError
 from objectflow.frame import check_pair
 from objectflow.readers import FrameSequence, open_files, open_pair
@@ -35,7 +35,8 @@ class Estimate(MethodArguments):
     def run(self) -> None:
         """Read, estimate, write, print."""
         estimator = self.estimator()
-        prev, curr = self._open()
+        with quiet_libraries():
+            prev, curr = self._open()
         check_pair(prev, curr)
         with new_result(self.out) as (folder, path):
             motion = estimator(prev, curr)

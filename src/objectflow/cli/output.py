@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -42,6 +43,21 @@ def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
         yield temporary, path
     if out is None:
         link_latest(path)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keep image libraries from writing to stderr on their own; what is wrong with a file is raised anyway."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def write_result(folder: Path, curr: RgbdFrame, motion: SceneMotion) -> None:

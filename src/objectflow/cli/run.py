@@ -21,7 +21,7 @@ from tyro.conf import Positional
 
 from objectflow import __version__, files
 from objectflow.cli.arguments import MethodArguments, option
-from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
+from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
 from objectflow.errors import ReaderError, ResultError, StorageError
 from objectflow.frame import check_pair
 from objectflow.motion import SceneMotion
@@ -55,21 +55,24 @@ class Run(MethodArguments):
     def run(self) -> None:
         """Read, estimate and write pair by pair."""
         estimator = self.estimator()
-        sequence = open_source(self.source, self.camera_options())
-        pairs = self._pairs(sequence)
-        # A source whose first frames are bad must leave no output folder behind.
-        check_pair(*(sequence[index] for index in pairs[0]))
+        with quiet_libraries():
+            sequence = open_source(self.source, self.camera_options())
+            pairs = self._pairs(sequence)
+            # A source whose first frames are bad must leave no output folder behind.
+            check_pair(*(sequence[index] for index in pairs[0]))
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with _claim(out, self._settings(sequence)):
             if self.out is None:
                 link_latest(out)
             todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
-            with Progress(console=Console(stderr=True), transient=True) as progress:
+            console = Console(stderr=True)
+            with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
                 task = progress.add_task("pairs", total=len(pairs), completed=len(pairs) - len(todo))
                 last = None
                 for prev_index, curr_index in todo:
-                    prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
-                    curr = sequence[curr_index]
+                    with quiet_libraries():
+                        prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
+                        curr = sequence[curr_index]
                     check_pair(prev, curr)
                     with files.new_folder(out / _name((prev_index, curr_index))) as folder:
                         write_result(folder, curr, estimator(prev, curr))
