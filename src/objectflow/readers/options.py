@@ -82,4 +82,8 @@ class CameraOptions:
                     f"{folder}: no camera.json there: give --camera-file FILE (or {', '.join(NAMED_CAMERAS)} "
                     "for the TUM cameras) or --intrinsics fx fy cx cy"
                 )
-        return Camera.read(path)
+        try:
+            return Camera.read(path)
+        except OverflowError:
+            # JSON numbers have no limit; floats do.
+            raise ReaderError(f"{path}: holds a number that is too large for a camera") from None
