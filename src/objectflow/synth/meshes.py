@@ -105,6 +105,7 @@ class MeshLibrary:
         if not self._refs:
             first = next(iter(self.broken.values()))
             raise DatasetError(f"none of the {len(files)} meshes in {self.folder} can be used; the first: {first}")
+        self._known = frozenset(self._refs)
         self._split_refs = _split(self._refs)
 
     def refs(self, split: str) -> Sequence[ModelRef]:
@@ -133,10 +134,6 @@ class MeshLibrary:
         key = hashlib.sha256(f"{_CACHE_VERSION} {mesh.digest()} {ref.name}".encode()).hexdigest()
         parts, symmetry = self._solved(key, vertices, faces, ref.name)
         return ObjectModel(ref.category, ref.name, vertices, faces, mesh.uv, parts, symmetry, mesh.texture)
-
-    @property
-    def _known(self) -> frozenset[ModelRef]:
-        return frozenset(self._refs)
 
     def _solved(
         self, key: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str

@@ -233,8 +233,7 @@ class _Surface:
 def closest_on_triangles(points: Array, triangles: Array) -> Array:
     """The point of each triangle (..., 3, 3) nearest to each point (..., 3); shapes broadcast."""
     a, b, c = (triangles[..., i, :] for i in range(3))
-    p = np.broadcast_to(points, a.shape)
-    ab, ac, ap = b - a, c - a, p - a
+    ab, ac, ap = b - a, c - a, points - a
     d00, d01, d11 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
     d20, d21 = _dot(ap, ab), _dot(ap, ac)
     area = np.maximum(d00 * d11 - d01 * d01, 1e-30)
@@ -243,9 +242,9 @@ def closest_on_triangles(points: Array, triangles: Array) -> Array:
     best = a + v[..., None] * ab + w[..., None] * ac
     distance = np.where(inside, 0.0, np.inf)
     for start, edge in ((a, ab), (a, ac), (b, c - b)):
-        t = np.clip(_dot(p - start, edge) / np.maximum(_dot(edge, edge), 1e-30), 0, 1)
+        t = np.clip(_dot(points - start, edge) / np.maximum(_dot(edge, edge), 1e-30), 0, 1)
         on_edge = start + t[..., None] * edge
-        away = _dot(p - on_edge, p - on_edge)
+        away = _dot(points - on_edge, points - on_edge)
         closer = away < distance
         best = np.where(closer[..., None], on_edge, best)
         distance = np.where(closer, away, distance)

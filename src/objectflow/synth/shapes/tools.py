@@ -134,7 +134,9 @@ def dumbbell(rng: Generator) -> Shape:
         rng.uniform(0.011, 0.015),
         rng.uniform(0.045, 0.06),
     )
-    grip = turned([(0, -half - 0.004), (bar, -half - 0.004), (bar * 1.1, 0), (bar, half + 0.004), (0, half + 0.004)])
+    grip = turned(
+        [(0, -half - 0.004), (bar, -half - 0.004), (bar * 1.1, 0), (bar, half + 0.004), (0, half + 0.004)], circle(48)
+    )
     hexagonal = rng.random() < 0.5
     curve = rounded([(0, half), (R, half), (R, half + head), (0, half + head)], 0.006)
     weight = turned(curve, polygon(6, 2)) if hexagonal else turned(curve)
@@ -143,7 +145,7 @@ def dumbbell(rng: Generator) -> Shape:
 
 def block(rng: Generator) -> Shape:
     """A toy block: cube, brick, studded brick, prism, cylinder or arch."""
-    kind, a = rng.choice(6), rng.uniform(0.045, 0.075)
+    kind, a = rng.choice(6), rng.uniform(0.055, 0.08)
     bevel = a * 0.04
     if kind == 0:
         return plate(rectangle(a, a), a), cube()  # sharp: a bevel on two sides alone would break the group
