@@ -1,0 +1,139 @@
+"""`objectflow run`: every pair of a sequence, continued where it stopped."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from objectflow.cli import main
+from objectflow.cli.output import RESULT_FILES
+
+PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """Five small frames of noise on a wall that comes nearer."""
+    rng = np.random.default_rng(3)
+    folder = tmp_path / "sequence"
+    (folder / "color").mkdir(parents=True)
+    (folder / "depth").mkdir()
+    for index in range(5):
+        cv2.imwrite(str(folder / "color" / f"{index}.png"), rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((48, 64), 1000 - 20 * index, np.uint16))
+    camera = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "depth_scale": 1000}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    return folder
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_one_result_folder_a_pair(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
+    pairs = {f"pair_{i:06d}_{i + 1:06d}" for i in range(4)}
+    assert names(out) == pairs | {"settings.json", "summary.csv"}
+    assert all(names(out / pair) == RESULT_FILES for pair in pairs)
+    rows = list(csv.DictReader((out / "summary.csv").open()))
+    assert [(row["prev"], row["curr"], row["moving"]) for row in rows] == [(str(i), str(i + 1), "0") for i in range(4)]
+    assert "4 pairs; something moved in 0" in capsys.readouterr().out
+
+
+def test_every_takes_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(sequence), "--method", "zero", "--every", "2", "--out", str(out)]) == 0
+    assert {"pair_000000_000002", "pair_000002_000004"} < names(out)
+    assert len(names(out)) == 4
+
+
+def test_finished_pairs_are_kept_and_the_rest_is_done(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    assert main(command) == 0
+    shutil.rmtree(out / "pair_000002_000003")
+    (out / ".pair_000002_000003.abc.tmp").mkdir()  # what a killed run leaves
+    kept = (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "3 of them done before" in capsys.readouterr().out
+    assert (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns == kept
+    assert names(out / "pair_000002_000003") == RESULT_FILES
+    assert not list(out.glob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--method", "dense-flow"], "method = zero, now it is dense-flow"),
+        (["--method", "zero", "--every", "2"], "every = 1, now it is 2"),
+        (["--method", "zero", "--depth-scale", "500"], "depth_scale"),
+        (["--method", "zero", "--camera", "static"], "camera = auto"),
+    ],
+)
+def test_other_settings_are_refused(
+    sequence: Path, tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
+    before = sorted(out.rglob("*"))
+    capsys.readouterr()
+    assert main(["run", str(sequence), "--out", str(out), *options]) == 2
+    assert words in capsys.readouterr().err
+    assert sorted(out.rglob("*")) == before
+
+
+def test_an_interrupt_is_130_and_keeps_what_is_done(
+    sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from objectflow.cli import run as module
+
+    calls = 0
+    write = module.write_result
+
+    def interrupted(*arguments: Any) -> None:
+        nonlocal calls
+        calls += 1
+        if calls == 3:
+            raise KeyboardInterrupt
+        write(*arguments)
+
+    out = tmp_path / "out"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    monkeypatch.setattr(module, "write_result", interrupted)
+    assert main(command) == 130
+    assert capsys.readouterr().err == "objectflow: interrupted\n"
+    assert names(out) == {"settings.json", "pair_000000_000001", "pair_000001_000002"}
+    monkeypatch.setattr(module, "write_result", write)
+    assert main(command) == 0
+    assert len(names(out)) == 6
+
+
+def test_a_bad_first_frame_leaves_nothing(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (sequence / "depth" / "1.png").write_text("no picture")
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "out")]) == 2
+    assert "1.png" in capsys.readouterr().err
+    assert names(tmp_path) == {"sequence"}
+
+
+def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(PAIR), "--method", "zero"]) == 0
+    assert names(tmp_path / "objectflow_out" / "latest") == {"pair_000000_000001", "settings.json", "summary.csv"}
+
+
+@pytest.mark.parametrize("every", ["0", "5"])
+def test_a_step_without_pairs(sequence: Path, every: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(sequence), "--method", "zero", "--every", every]) == 2
+    assert "every" in capsys.readouterr().err
