@@ -57,7 +57,7 @@ def main(settings: Settings) -> None:
         start = time.perf_counter()
         motion = estimator(prev, curr)
         seconds = time.perf_counter() - start
-        truth = read_truth(folder)
+        truth = read_truth(folder, curr)
         moved = "static" if motion.camera_motion is None else describe(motion.camera_motion)
         rows = [describe_object(obj, motion, curr, truth) for obj in motion.objects]
         rows += [("-", "", "", "", f"missed: {name}", "", "", "") for name in missed(motion, truth)]
@@ -81,25 +81,29 @@ def read_pair(folder: Path) -> tuple[objectflow.RgbdFrame, objectflow.RgbdFrame]
 
 @dataclasses.dataclass
 class Truth:
+    """What `truth.npz` says, with labels on the current frame."""
+
     labels: np.ndarray
     prev_T_curr: dict[int, np.ndarray]
     moving: dict[int, bool]
     names: dict[int, str]
 
 
-def read_truth(folder: Path) -> Truth | None:
+def read_truth(folder: Path, curr: objectflow.RgbdFrame) -> Truth | None:
     if not (folder / "truth.npz").exists():
         return None
     z = np.load(folder / "truth.npz")
     background = z["background_prev_T_curr"]
     motions = {k + 1: T for k, T in enumerate(z["prev_T_curr"])}
     names = {k + 1: str(name) or f"object {k + 1}" for k, name in enumerate(z["names"])}
+    labels = z["labels1"].astype(np.int32)
+    points = geometry.back_project(curr.depth, curr.camera)
     moving = {}
     for k, T in motions.items():
-        relative = geometry.inverse(background) @ T
-        far = np.linalg.norm(geometry.transform(relative, np.array([0, 0, 1.0])) - [0, 0, 1.0]) > 0.02
-        moving[k] = bool(far) and "static" not in names[k]
-    return Truth(z["labels1"].astype(np.int32), motions, moving, names)
+        center = np.median(points[(labels == k) & curr.valid], axis=0)
+        far = np.linalg.norm(geometry.transform(T, center) - geometry.transform(background, center))
+        moving[k] = bool(far > 0.005) and "static" not in names[k]
+    return Truth(labels, motions, moving, names)
 
 
 def overlap(mask: np.ndarray, truth: Truth) -> tuple[int, float]:
@@ -112,8 +116,9 @@ def overlap(mask: np.ndarray, truth: Truth) -> tuple[int, float]:
 def describe_object(
     obj: objectflow.ObjectMotion, motion: objectflow.SceneMotion, curr: objectflow.RgbdFrame, truth: Truth | None
 ) -> tuple[str, ...]:
+    far, turned = np.linalg.norm(obj.translation) * 100, np.degrees(np.linalg.norm(obj.rotation_vector))
     base = (
-        f"{obj.id}: {np.linalg.norm(obj.translation) * 100:.1f} cm {np.degrees(np.linalg.norm(obj.rotation_vector)):.1f} deg",
+        f"{obj.id}: {far:.1f} cm {turned:.1f} deg",
         str(obj.pixels),
         f"{obj.score:.2f}",
         str(obj.moving),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,8 +14,9 @@ from objectflow.frame import Camera, RgbdFrame
 Floats = NDArray[np.float32]
 
 
-class Matches(NamedTuple):
-    """Matched 3D points.
+@dataclass(frozen=True, eq=False)
+class Matches:
+    """Matched 3D points; indexing with a mask or an index array picks some of them.
 
     Attributes:
         pixels: (N, 2) float32 (u, v) on the current frame.
@@ -25,9 +27,15 @@ class Matches(NamedTuple):
     curr: Floats
     prev: Floats
 
-    def __getitem__(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:  # type: ignore[override]
-        """The matches that a mask or an index array picks."""
+    def __getitem__(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:
         return Matches(self.pixels[index], self.curr[index], self.prev[index])
+
+    def __add__(self, other: Matches) -> Matches:
+        return Matches(
+            np.concatenate([self.pixels, other.pixels]),
+            np.concatenate([self.curr, other.curr]),
+            np.concatenate([self.prev, other.prev]),
+        )
 
 
 def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -104,8 +112,8 @@ def feature_matches(prev: RgbdFrame, curr: RgbdFrame, *, limit: int = 1500) -> M
     """SIFT matches (Lowe, IJCV 2004), mutual and with the ratio test: they reach where flow's small steps do not."""
     # A low contrast threshold: tables and packaging are dull, and the ratio test removes what is ambiguous.
     sift = cv2.SIFT.create(nfeatures=limit, contrastThreshold=0.02)
-    curr_keys, curr_words = sift.detectAndCompute(gray(curr.color), None)  # type: ignore[call-overload]
-    prev_keys, prev_words = sift.detectAndCompute(gray(prev.color), None)  # type: ignore[call-overload]
+    curr_keys, curr_words = sift.detectAndCompute(gray(curr.color), None)
+    prev_keys, prev_words = sift.detectAndCompute(gray(prev.color), None)
     empty = np.zeros((0, 2), np.float32)
     if len(curr_keys) < 2 or len(prev_keys) < 2:
         return lift(empty, empty, prev, curr)[0]
@@ -115,9 +123,9 @@ def feature_matches(prev: RgbdFrame, curr: RgbdFrame, *, limit: int = 1500) -> M
     return lift(pixels, prev_pixels, prev, curr)[0]
 
 
-def _root(words: Floats) -> Floats:
+def _root(words: NDArray[Any]) -> Floats:
     """RootSIFT (Arandjelovic and Zisserman, CVPR 2012): a dot product then compares histograms as it should."""
-    return np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7)).astype(np.float32)
+    return np.asarray(np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7)), dtype=np.float32)
 
 
 def _match_words(curr: Floats, prev: Floats, ratio: float = 0.85) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,9 +1,9 @@
-"""The rigid motion of one object: robust fit to matches, then refinement against the other frame's depth and colour."""
+"""The rigid motion of one object: robust fit to matches, then refinement against the other frame's depth, colour."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -39,7 +39,7 @@ def fit_matches(
     sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
     # Precise points count more, as maximum likelihood has it.
     precision = prior / sigma**2
-    prev_T_curr, _ = geometry.kabsch(matches.curr, matches.prev, precision)
+    prev_T_curr = _rough_fit(matches, sigma, precision)
     for _ in range(iterations):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         scaled = error / sigma
@@ -58,6 +58,23 @@ def fit_matches(
     return prev_T_curr, error < 3 * sigma
 
 
+def _rough_fit(matches: Matches, sigma: Array, precision: Array, trials: int = 40) -> Array:
+    """The best by truncated squares of the fit to all matches and the fits to triplets spread over them.
+
+    The triplets step through the list at ever other strides, and need no random numbers.
+    """
+    count = len(matches.curr)
+    trial = np.arange(trials)
+    stride = 1 + (trial * 37) % max(1, count // 2)
+    triplets = (trial[:, None] * count // trials + stride[:, None] * np.arange(3)) % count
+    motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
+    everything, _ = geometry.kabsch(matches.curr, matches.prev, precision)
+    motions = np.concatenate([everything[None], motions[determined]])
+    carried = np.einsum("kij,nj->kni", motions[:, :3, :3], matches.curr) + motions[:, None, :3, 3]
+    error = np.linalg.norm(carried - matches.prev, axis=-1) / sigma
+    return np.asarray(motions[np.minimum(error**2, 9).sum(axis=1).argmin()])
+
+
 class Target:
     """The previous frame, made ready to be aligned with: points, normals, colour and its gradient.
 
@@ -72,8 +89,8 @@ class Target:
         self.points = geometry.back_project(prev.depth, prev.camera)
         self.normals = surface_normals(prev.depth, prev.camera)
         base = gray(prev.color).astype(np.float32)
-        self.images = [cv2.GaussianBlur(base, (0, 0), sigma).astype(np.float32) for sigma in GRAY_BLURS]
-        self.gradients = [
+        self.images: list[NDArray[Any]] = [cv2.GaussianBlur(base, (0, 0), sigma) for sigma in GRAY_BLURS]
+        self.gradients: list[tuple[NDArray[Any], NDArray[Any]]] = [
             (cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8))
             for image in self.images
         ]
@@ -166,9 +183,9 @@ def refine(
             damping = 1e-4 * np.diag(H) + 1e-6 * np.trace(H) / 6 + 1e-9
             step = np.linalg.solve(H + np.diag(damping), -b)
             T = geometry.se3_exp(step) @ T
-            if np.abs(step).max() < 1e-6:
+            if np.abs(step).max() < 3e-5:  # 0.03 mm: far below what a depth camera resolves
                 break
-    return _judge(target, source, T)
+    return judge(target, source, T)
 
 
 def _normal_equations(
@@ -222,8 +239,8 @@ def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array,
     return np.einsum("nij,n,nik->jk", J, weight, J), np.einsum("nij,n,ni->j", J, weight, r)
 
 
-def _judge(target: Target, source: Source, T: Array) -> Refined:
-    """How well a motion explains the points that the previous frame sees."""
+def judge(target: Target, source: Source, T: Array) -> Refined:
+    """How well a motion explains the points that the previous frame sees; see `Refined`."""
     camera = target.camera
     points = geometry.transform(T, source.points)
     pixels = geometry.project(points, camera)
@@ -247,7 +264,7 @@ def _judge(target: Target, source: Source, T: Array) -> Refined:
     )
 
 
-def surface_normals(depth: Floats, camera: Camera) -> Floats:
+def surface_normals(depth: NDArray[Any], camera: Camera) -> Floats:
     """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN on holes and across depth edges.
 
     A plane is fitted to inverse depth, which is linear in pixels on a plane, by box sums over 5x5 valid neighbours.
@@ -269,6 +286,7 @@ def surface_normals(depth: Floats, camera: Camera) -> Floats:
     c = cv2.boxFilter(inverse, -1, size) - a * rays[..., 0] - b * rays[..., 1]
     normals = -np.stack([a, b, c], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
+    smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window would leave the image
     return np.where(smooth[..., None], normals, np.float32(np.nan)).astype(np.float32)
 
 
@@ -277,7 +295,7 @@ def _tukey(r: NDArray[np.floating]) -> Array:
     return np.where(np.abs(scaled) < 1, (1 - scaled**2) ** 2, 0.0)
 
 
-def _sample(image: NDArray[np.float32], pixels: Floats) -> Array:
+def _sample(image: NDArray[Any], pixels: Floats) -> Array:
     """Bilinear values at (N, 2) pixels."""
     out = cv2.remap(
         image, pixels[None, :, 0].astype(np.float32), pixels[None, :, 1].astype(np.float32), cv2.INTER_LINEAR,

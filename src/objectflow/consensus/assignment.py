@@ -19,6 +19,9 @@ from objectflow.noise import depth_sigma
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
+Box = tuple[slice, slice]
+EVERYWHERE: Box = (slice(None), slice(None))
+
 COST_FLOATING = 6.0
 """The point would hang in front of what the previous frame saw there: it was not there."""
 COST_HIDDEN = 2.0
@@ -51,7 +54,7 @@ class Look:
 
 
 def motion_cost(
-    prev: RgbdFrame, points: Floats, prev_T_curr: Array, looks: tuple[Look, Look] | None
+    prev: RgbdFrame, points: Floats, prev_T_curr: Array, looks: tuple[Look, Look] | None, box: Box = EVERYWHERE
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """How badly a motion fits each pixel, as a negative log-likelihood.
 
@@ -60,13 +63,15 @@ def motion_cost(
         points: (H, W, 3) of the current frame, at the same size.
         prev_T_curr: the motion.
         looks: of the previous and the current frame; None leaves colour out.
+        box: rows and columns of the current frame to look at.
 
     Returns:
-        (H, W) float32; 0 is perfect, `COST_FLOATING` is ruled out; pixels without depth get `COST_UNSEEN`.
-        (H, W) bool: the pixel would have been hidden behind something.
+        Both of the box' size. (h, w) float32; 0 is perfect, `COST_FLOATING` is ruled out; pixels without depth get
+        `COST_UNSEEN`.
+        (h, w) bool: the pixel would have been hidden behind something.
     """
     camera = prev.camera
-    carried = geometry.transform(prev_T_curr, points)
+    carried = geometry.transform(prev_T_curr, points[box])
     pixels = geometry.project(carried, camera)
     z = carried[..., 2]
     sigma = 1.4 * depth_sigma(np.nan_to_num(z, nan=1.0)) + 0.001
@@ -89,18 +94,19 @@ def motion_cost(
     scaled = np.where(known, offset, 0) / sigma
     cost = 0.5 * np.minimum(scaled**2, 9)
     if looks is not None:
-        cost = cost + _color_cost(*looks, u.astype(np.float32), v.astype(np.float32))
+        cost = cost + _color_cost(*looks, u.astype(np.float32), v.astype(np.float32), box)
     cost = np.where(scaled < -3, COST_FLOATING, np.where(scaled > 3, COST_HIDDEN + 1.0 * (scaled < 6), cost))
     cost = np.where(known, np.minimum(cost, COST_FLOATING), COST_UNSEEN).astype(np.float32)
     return cost, known & (scaled > 3)
 
 
-def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats) -> Floats:
-    """Up to 2: the look at (u, v) in `prev` against the pixel's own; edges may be off by half a pixel."""
+def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats, box: Box) -> Floats:
+    """Up to 2: the look at (u, v) in `prev` against the box' own; edges may be off by half a pixel."""
     cost = np.zeros(u.shape, np.float32)
     for channel, (tolerance, slack) in enumerate(Look.TOLERANCES):
         warped = cv2.remap(prev.channels[channel], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        cost += ((warped - curr.channels[channel]) / (tolerance + slack * curr.contrast[channel])) ** 2
+        own, contrast = curr.channels[channel][box], curr.contrast[channel][box]
+        cost += ((warped - own) / (tolerance + slack * contrast)) ** 2
     return np.asarray(np.minimum(0.5 * cost, 2), dtype=np.float32)
 
 
@@ -143,7 +149,14 @@ class PixelGraph:
             steps.append(step.ravel())
         self.head, self.tail = np.concatenate(heads), np.concatenate(tails)
         self.tie, self.step = np.concatenate(ties), np.concatenate(steps)
+        n = depth.size
+        half = sparse.coo_array((self.tie, (self.head, self.tail)), shape=(n, n)).tocsr()
+        weights = half + half.T
+        self.laplacian: sparse.csr_array = (
+            sparse.diags_array(np.asarray(weights.sum(axis=1)).ravel()) - weights
+        ).tocsr()
         self.blocks = _blocks(depth.shape)
+        self.coarse_laplacian = (self.blocks.T @ self.laplacian @ self.blocks).tocsc()
 
     @staticmethod
     def _tie(
@@ -159,16 +172,18 @@ class PixelGraph:
             turn = ((normals[there] - normals[here]) * (points[there] - points[here])).sum(-1)
             crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < 0.97)
         change = np.abs(color[here] - color[there]).max(-1)
+        # A colour edge alone never cuts through: it may be print. Depth steps and creases do.
         tie = _BOND * (0.12 + 0.88 * np.exp(-((change / 25) ** 2))) * np.exp(-((gap / allowed) ** 2)) + 0.02
         tie = np.where(crease, 0.15 * tie, tie)
         tie = np.where(both, tie, 0.05 * _BOND * np.exp(-((change / 15) ** 2)) + 0.02)
         return np.where(step, 0.01, tie), step
 
-    def walk(self, costs: Floats) -> Floats:
+    def walk(self, costs: Floats, *, fine: bool = True) -> Floats:
         """Random walker with priors (Grady, CVPR 2005): the share of walks from a pixel that end in each motion.
 
         Args:
             costs: (K, H, W) negative log-likelihoods.
+            fine: to the pixel; else 2x2 blocks share one answer, in half the time.
 
         Returns:
             (K, H, W) probabilities. A pixel pulls by how decided it is, so undecided ones follow their surface.
@@ -177,13 +192,31 @@ class PixelGraph:
         prior = (likelihood / likelihood.sum(0)).reshape(len(costs), -1).astype(np.float64)
         top = np.partition(prior, -2, axis=0)[-2:] if len(costs) > 1 else np.stack([prior[0] * 0, prior[0]])
         pull = (top[1] - top[0]) + 1e-3
-        n = prior.shape[1]
-        weights = sparse.coo_array((self.tie, (self.head, self.tail)), shape=(n, n)).tocsr()
-        weights = (weights + weights.T).tocsr()
-        diagonal = np.asarray(weights.sum(axis=1)).ravel() + pull
-        system = (sparse.diags_array(diagonal) - weights).tocsr()
-        walked = _two_grid(system, diagonal, (prior * pull).T, self.blocks)
+        walked = self._two_grid(pull, (prior * pull).T, cycles=2 if fine else 0)
         return np.asarray(walked.T.reshape(costs.shape), dtype=np.float32)
+
+    def _two_grid(self, pull: Array, right: Array, *, cycles: int) -> Array:
+        """Solve the walk on 2x2 blocks exactly, on pixels by smoothing, twice: a fifth of the time of a full solve.
+
+        A textbook two-grid cycle with Galerkin's coarse system and damped Jacobi; labels are an argmax, so the last
+        digits do not matter.
+        """
+        coarse = splu(
+            self.coarse_laplacian + sparse.diags_array(self.blocks.T @ pull).tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        anchor = pull[:, None]
+        step = (0.8 / (self.laplacian.diagonal() + pull))[:, None]
+        solution = self.blocks @ coarse.solve(self.blocks.T @ right)
+        for cycle in range(cycles):
+            for _ in range(4):
+                solution += step * (right - self.laplacian @ solution - anchor * solution)
+            if cycle + 1 < cycles:
+                residual = right - self.laplacian @ solution - anchor * solution
+                solution += self.blocks @ coarse.solve(self.blocks.T @ residual)
+        return np.asarray(solution)
 
     def components(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
         """(H, W) component numbers: pixels of one label, joined where no depth step divides them."""
@@ -206,31 +239,9 @@ def _blocks(shape: tuple[int, int]) -> sparse.csr_array:
     return sparse.csr_array((ones, (np.arange(height * width), block)))
 
 
-def _two_grid(system: sparse.csr_array, diagonal: Array, right: Array, blocks: sparse.csr_array) -> Array:
-    """Solve the walk on 2x2 blocks exactly, on pixels by smoothing, twice: a fifth of the time of a full solve.
-
-    A textbook two-grid cycle with Galerkin's coarse system and damped Jacobi; labels are an argmax, so the last digits
-    do not matter.
-    """
-    coarse = splu(
-        (blocks.T @ system @ blocks).tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-    inverse = (0.8 / diagonal)[:, None]
-    solution = blocks @ coarse.solve(blocks.T @ right)
-    for cycle in range(2):
-        for _ in range(6):
-            solution += inverse * (right - system @ solution)
-        if cycle == 0:
-            solution += blocks @ coarse.solve(blocks.T @ (right - system @ solution))
-    return np.asarray(solution)
-
-
 def split_regions(
     labels: NDArray[np.int32], points: Floats, graph: PixelGraph, *, min_pixels: int, gap: float
-) -> list[NDArray[np.bool_]]:
+) -> list[tuple[int, NDArray[np.bool_]]]:
     """Masks of the separate pieces of each label; pieces closer than `gap` metres stay one object.
 
     Args:
@@ -239,16 +250,21 @@ def split_regions(
         graph: of the same frame.
         min_pixels: smaller objects are dropped, and pieces under a quarter of it do not join others.
         gap: metres between pieces that may be one object behind an obstacle, or a mask with a crack.
+
+    Returns:
+        (label, mask) of each, in order of labels.
     """
-    found: list[NDArray[np.bool_]] = []
-    pieces = graph.components(np.where(np.isnan(points[..., 2]), 0, labels))
+    labels = np.where(np.isnan(points[..., 2]), 0, labels).astype(np.int32)
+    pieces = graph.components(labels)
+    sizes = np.bincount(pieces.ravel())
+    label_of = np.zeros(len(sizes), np.int32)
+    label_of[pieces.ravel()] = labels.ravel()
+    found: list[tuple[int, NDArray[np.bool_]]] = []
     for label in np.unique(labels[labels > 0]):
-        inside = (labels == label) & ~np.isnan(points[..., 2])
-        numbers, counts = np.unique(pieces[inside], return_counts=True)
-        kept = [int(n) for n in numbers[np.argsort(-counts)] if counts[numbers == n][0] >= max(4, min_pixels // 4)]
+        numbers = np.flatnonzero((label_of == label) & (sizes >= max(4, min_pixels // 4)))
         groups: list[tuple[NDArray[np.bool_], cKDTree]] = []
-        for number in kept[:40]:
-            piece = inside & (pieces == number)
+        for number in numbers[np.argsort(-sizes[numbers])][:40]:
+            piece = pieces == number
             tree = cKDTree(points[piece])
             for position, (mask, other) in enumerate(groups):
                 small, large = (tree, other) if tree.n < other.n else (other, tree)
@@ -258,7 +274,7 @@ def split_regions(
                     break
             else:
                 groups.append((piece, tree))
-        found += [mask for mask, _ in groups if mask.sum() >= min_pixels]
+        found += [(int(label), mask) for mask, _ in groups if mask.sum() >= min_pixels]
     return found
 
 

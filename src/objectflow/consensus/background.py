@@ -43,14 +43,14 @@ def background_motion(
 
 
 def dominant_motion(
-    matches: Matches, camera: Camera, rng: np.random.Generator, *, trials: int = 400
+    matches: Matches, camera: Camera, rng: np.random.Generator, *, trials: int = 250
 ) -> tuple[Array, NDArray[np.bool_]] | None:
     """The rigid motion that most matches follow, by RANSAC on triplets, and who follows it; None without one."""
     count = len(matches.curr)
     if count < 12:
         return None
     sigma = match_sigma(matches.curr[:, 2], camera)
-    judges = rng.permutation(count)[:800]
+    judges = rng.permutation(count)[:500]
     triplets = rng.integers(0, count, (trials, 3))
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
     # No motion is always among the candidates: in most scenes over a table it is the right one.
@@ -65,7 +65,7 @@ def dominant_motion(
         inliers = error < 3 * sigma
         if inliers.sum() < 12:
             return None
-        prev_T_curr, inliers = rigid.fit_matches(matches[inliers], camera)[0], inliers
+        prev_T_curr = rigid.fit_matches(matches[inliers], camera)[0]
     return prev_T_curr, inliers
 
 

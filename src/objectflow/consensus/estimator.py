@@ -86,14 +86,12 @@ class Consensus:
         stage = verdict.Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         masks: list[Mask] = []
         for number in range(self.rounds):
-            before = masks
-            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers)
-            if number == 0:
+            fine = number + 1 == self.rounds
+            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers, fine=fine)
+            if not fine:
                 motions = [h.prev_T_curr for h in hypotheses]
                 more = seek(stage, masks, motions, target, curr_m, movers)
                 hypotheses += [Hypothesis(f.prev_T_curr, stage.points[f.mask], f.matches, f.mask) for f in more]
-            elif _settled(before, masks):
-                break
         # 5. Keep what stands: objects that moved, and regions that no motion explains.
         labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
         # 6. The full image: sharp labels, and the flow made again from the motions.
@@ -110,24 +108,26 @@ class Consensus:
         target: rigid.Target,
         curr: RgbdFrame,
         movers: Matches,
+        *,
+        fine: bool,
     ) -> tuple[list[Mask], list[Hypothesis]]:
         """One round: the masks of the present motions, and each mask's motion refined."""
         if not hypotheses:
             return [], []
         known = [h.mask for h in hypotheses if h.mask is not None]
-        labels = stage.assign([h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses], known)
+        motions, anchors = [h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses]
+        labels = stage.assign(motions, anchors, known, fine=fine)
         masks: list[Mask] = []
         refined: list[Hypothesis] = []
-        for number, hypothesis in enumerate(hypotheses, 1):
-            for mask in stage.split(np.where(labels == number, 1, 0).astype(np.int32)):
-                own = movers[verdict.inside(mask, movers, curr.camera)]
-                source = rigid.make_source(curr, verdict.enlarge(mask, curr), limit=2500)
-                start = hypothesis.prev_T_curr
-                if len(own.curr) >= 6:
-                    start = min(start, rigid.fit_matches(own, curr.camera)[0], key=lambda T: _misfit(T, own, curr))
-                fit = rigid.refine(target, source, start, matches=own)
-                refined.append(Hypothesis(fit.prev_T_curr, stage.anchors(mask, fit.prev_T_curr), own, mask))
-                masks.append(mask)
+        for label, mask in stage.split(labels):
+            start = motions[label - 1]
+            own = movers[verdict.inside(mask, movers, curr.camera)]
+            source = rigid.make_source(curr, verdict.enlarge(mask, curr), limit=2000)
+            if len(own.curr) >= 6:
+                start = _better_start(start, own, curr)
+            fit = rigid.refine(target, source, start, matches=own)
+            refined.append(Hypothesis(fit.prev_T_curr, stage.anchors(mask, fit.prev_T_curr), own, mask))
+            masks.append(mask)
         kept = verdict.prune(stage, masks, [h.prev_T_curr for h in refined])
         return [masks[k] for k in kept], [refined[k] for k in kept]
 
@@ -179,11 +179,8 @@ def _all_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
     """Flow on a grid and features together."""
     flow, consistent = correspondence.dense_flow(correspondence.gray(prev.color), correspondence.gray(curr.color))
     stride = 4 if curr.camera.width <= 400 else 8
-    parts = (
-        correspondence.flow_matches(flow, consistent, prev, curr, stride=stride),
-        correspondence.feature_matches(prev, curr),
-    )
-    return Matches(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    along_flow = correspondence.flow_matches(flow, consistent, prev, curr, stride=stride)
+    return along_flow + correspondence.feature_matches(prev, curr)
 
 
 def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:
@@ -192,11 +189,11 @@ def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:
     return matches[error > 3 * match_sigma(matches.curr[:, 2], curr.camera)]
 
 
-def _settled(before: list[Mask], after: list[Mask]) -> bool:
-    """Whether a round changed next to nothing."""
-    if len(before) != len(after):
-        return False
-    return all((old != new).sum() < 0.01 * new.sum() for old, new in zip(before, after, strict=True))
+def _better_start(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> Array:
+    """The matches' own fit, if it beats the motion so far by more than six free parameters would by chance."""
+    fitted = rigid.fit_matches(matches, curr.camera)[0]
+    gain = _misfit(prev_T_curr, matches, curr) - _misfit(fitted, matches, curr)
+    return fitted if gain > max(6.0, 0.1 * len(matches.curr)) else prev_T_curr
 
 
 def _misfit(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> float:

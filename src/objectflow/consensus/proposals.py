@@ -83,11 +83,11 @@ def _candidates(matches: Matches, camera: Camera) -> tuple[NDArray[np.bool_], Ar
     compatible = np.abs(near - _distances(prev)) < 2 * np.hypot(sigma[:, None], sigma[None, :])
     compatible &= near < reach
     # Neighbours at a lever arm fix the rotation; a third of the reach already counts in full.
-    weights = compatible * np.exp(-((near / (0.5 * reach)) ** 2))
+    weights: Array = np.where(compatible, np.exp(-((near / (0.5 * reach)) ** 2)), 0.0)
     motions, determined = _fit_all(weights, curr, prev)
     for _ in range(3):
         error = _errors(motions, curr, prev) / sigma
-        weights = np.where(near < reach, np.clip(1 - (error / 4) ** 2, 0, None) ** 2, 0)
+        weights = np.where(near < reach, np.clip(1 - (error / 4) ** 2, 0, None) ** 2, 0.0)
         motions, determined = _fit_all(weights, curr, prev)
     error = _errors(motions, curr, prev) / sigma
     follows = (error < 3) & (near < reach) & determined[:, None]

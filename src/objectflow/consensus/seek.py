@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MAX_REGIONS = 6
+BAD_FIT = 1.0
+"""Mean cost a pixel above which an object's motion is taken for wrong, and sought again."""
+MAX_STARTS = 3
 REACH = 0.3
 """Metres; nothing is sought further away than this."""
 
@@ -50,24 +53,36 @@ def seek(
         movers: matches that do not follow the background.
     """
     claimed = np.zeros(stage.valid.shape, bool)
-    for mask in masks:
-        claimed |= mask
+    badly_explained = []
+    for mask, motion in zip(masks, motions, strict=True):
+        cost = stage.cost(motion, stage.around(stage.points[mask & stage.valid]))
+        if float(cost[mask].mean()) > BAD_FIT:
+            badly_explained.append(mask)
+        else:
+            claimed |= mask
     doubtful = (stage.background_cost >= 1.5) & stage.valid & ~stage.hidden & ~claimed
-    vanished = _vanished(stage)
+    for mask in badly_explained:
+        doubtful &= ~mask
+    regions = badly_explained + _regions(doubtful, stage.min_pixels)
+    vanished = _vanished(stage) if regions else []
     found = []
-    for region in _regions(doubtful, stage.min_pixels):
+    for region in regions:
         wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & stage.valid
         own = movers[inside(wide, movers, curr.camera)]
-        best: tuple[float, Array] | None = None
-        source = rigid.make_source(curr, enlarge(wide, curr), limit=1500)
-        for start in _starts(stage, region, own, vanished):
-            motion = rigid.refine(target, source, start, matches=_agreeing(own, start, curr)).prev_T_curr
-            cost = float(stage.cost(motion)[region].mean())
-            if best is None or cost < best[0]:
-                best = cost, motion
-        rival = np.minimum.reduce([stage.background_cost, *(stage.cost(motion) for motion in motions)])
-        if best is not None and best[0] < float(rival[region].mean()) - 2 * MIN_GAIN:
-            found.append(Found(best[1], region, _agreeing(own, best[1], curr)))
+        box = stage.around(stage.points[region & stage.valid])
+        source = rigid.make_source(curr, enlarge(wide, curr), limit=1000)
+        starts = _starts(stage, region, own, vanished)
+        starts.sort(key=lambda start: -rigid.judge(target, source, start).explained)  # noqa: B023
+        refined = [
+            rigid.refine(target, source, start, matches=_agreeing(own, start, curr)).prev_T_curr
+            for start in starts[:MAX_STARTS]
+        ]
+        if not refined:
+            continue
+        best = min(refined, key=lambda motion: float(stage.cost(motion, box)[region].mean()))  # noqa: B023
+        rival = np.minimum.reduce([stage.background_cost, *(stage.cost(motion, box) for motion in motions)])
+        if float(stage.cost(best, box)[region].mean()) < float(rival[region].mean()) - 2 * MIN_GAIN:
+            found.append(Found(best, region, _agreeing(own, best, curr)))
     return found
 
 
@@ -76,7 +91,7 @@ def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
     core = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
-    ranked = [n for n in np.argsort(-sizes)[:MAX_REGIONS] if sizes[n] >= min_pixels // 2]
+    ranked = [n for n in np.argsort(-sizes)[:MAX_REGIONS] if sizes[n] >= min_pixels]
     return [numbers == n + 1 for n in ranked]
 
 
@@ -92,7 +107,7 @@ def _vanished(stage: Stage) -> list[NDArray[np.float32]]:
 
 def _starts(stage: Stage, region: Mask, own: Matches, vanished: list[NDArray[np.float32]]) -> list[Array]:
     """Where to begin: the matches' own fit and their median shift, each place where something vanished."""
-    center = np.median(stage.points[region], axis=0).astype(np.float64)
+    center = np.median(stage.points[region & stage.valid], axis=0).astype(np.float64)
     here = geometry.transform(stage.background, center)
     starts = []
     if len(own.curr) >= 3:

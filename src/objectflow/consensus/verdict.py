@@ -23,7 +23,7 @@ MIN_GAIN = 0.35
 """Mean log-likelihood a pixel that an object's motion must win over the background's."""
 OBJECT_PRIOR = 0.3
 """Cost of any object's motion over the background's: undecided pixels are background."""
-HIDDEN_BY_KNOWN = 0.4
+HIDDEN_BY_KNOWN = 0.6
 """Cost of having been hidden behind an object that is known to have been there."""
 MIN_TOTAL_GAIN = 100.0
 """And over all its pixels together: what naming one more object costs. Neighbouring pixels are not independent."""
@@ -45,7 +45,7 @@ class Stage:
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
         self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
         self.background = np.eye(4) if camera_motion is None else camera_motion
-        self._costs: dict[tuple[bytes, bool], Floats] = {}
+        self._costs: dict[tuple[bytes, bool], tuple[assignment.Box, Floats]] = {}
         self.points = geometry.back_project(curr.depth, curr.camera)
         self.valid = curr.valid
         self.graph = assignment.PixelGraph(curr)
@@ -56,21 +56,36 @@ class Stage:
         self.telling = ~self.hidden if camera_motion is not None else np.ones_like(self.hidden)
         self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
 
-    def cost(self, prev_T_curr: Array, *, color: bool = True) -> Floats:
-        """(H, W) cost of a motion; see `assignment.motion_cost`."""
+    def cost(self, prev_T_curr: Array, box: assignment.Box = assignment.EVERYWHERE, *, color: bool = True) -> Floats:
+        """(H, W) cost of a motion within a box, ruled out elsewhere; see `assignment.motion_cost`."""
         key = (prev_T_curr.tobytes(), color)
-        if key not in self._costs:
+        if key not in self._costs or not _within(box, self._costs[key][0]):
             looks = self.looks if color else None
-            self._costs[key] = assignment.motion_cost(self.prev, self.points, prev_T_curr, looks)[0]
-        return self._costs[key]
+            cost = np.full(self.valid.shape, assignment.COST_FLOATING, np.float32)
+            cost[box] = assignment.motion_cost(self.prev, self.points, prev_T_curr, looks, box)[0]
+            self._costs[key] = box, cost
+        return self._costs[key][1]
 
-    def assign(self, motions: list[Array], anchors: list[Floats], masks: list[Mask]) -> NDArray[np.int32]:
+    def around(self, points: Floats) -> assignment.Box:
+        """The box of pixels within a few times `reach` of points (N, 3)."""
+        pixels = geometry.project(points, self.curr.camera)
+        margin = 3.2 * self.reach * self.curr.camera.fx / max(0.1, float(points[:, 2].min()))
+        low, high = pixels.min(axis=0) - margin, pixels.max(axis=0) + margin + 1
+        height, width = self.valid.shape
+        top, bottom = (int(np.clip(value, 0, height)) for value in (low[1], high[1]))
+        left, right = (int(np.clip(value, 0, width)) for value in (low[0], high[0]))
+        return slice(top, bottom), slice(left, right)
+
+    def assign(
+        self, motions: list[Array], anchors: list[Floats], masks: list[Mask], *, fine: bool
+    ) -> NDArray[np.int32]:
         """Labels by cost, nearness and the walk along surfaces.
 
         Args:
             motions: `prev_T_curr` of each object.
             anchors: (N, 3) points that follow each.
             masks: (H, W) of each, as far as known; empty in the first round.
+            fine: to the pixel, or in blocks of 2x2.
 
         Returns:
             (H, W) int32: 0 = background, k = the k-th motion.
@@ -79,13 +94,14 @@ class Stage:
         costs = [self.rival_cost]
         for motion, points in zip(motions, anchors, strict=True):
             near = assignment.nearness_cost(self.points, points, self.reach)
-            costs.append(self.cost(motion) + near + OBJECT_PRIOR)
-        probability = self.graph.walk(np.stack(costs))
+            costs.append(self.cost(motion, self.around(points)) + near + OBJECT_PRIOR)
+        probability = self.graph.walk(np.stack(costs), fine=fine)
         return np.asarray(probability.argmax(0), dtype=np.int32)
 
     def anchors(self, mask: Mask, motion: Array) -> Floats:
         """(N, 3) points of a mask that its motion explains and the background's cannot."""
-        decided = mask & self.valid & (self.rival_cost - self.cost(motion) > 1)
+        cost = self.cost(motion, self.around(self.points[mask & self.valid]))
+        decided = mask & self.valid & (self.rival_cost - cost > 1)
         return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
 
     def _background_cost_given(self, motions: list[Array], masks: list[Mask]) -> Floats:
@@ -101,9 +117,9 @@ class Stage:
         for motion, mask in zip(motions, masks, strict=True):
             column, row, inside_image = self._pixels_in_prev(motion, self.points[mask & self.valid])
             occupied[row[inside_image], column[inside_image]] = 1
-        occupied = cv2.dilate(occupied, np.ones((5, 5)))
+        spread = cv2.dilate(occupied, np.ones((5, 5)))
         column, row, _ = self._pixels_in_prev(self.background, self.points)
-        expected = self.hidden & (occupied[row, column] > 0)
+        expected = self.hidden & (spread[row, column] > 0)
         texture = np.minimum(self.looks[1].contrast[0] / 25, 1)
         cost = HIDDEN_BY_KNOWN + (assignment.COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
         return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
@@ -115,8 +131,8 @@ class Stage:
         inside_image = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside_image
 
-    def split(self, labels: NDArray[np.int32]) -> list[Mask]:
-        """The separate objects of each label."""
+    def split(self, labels: NDArray[np.int32]) -> list[tuple[int, Mask]]:
+        """The separate objects of each label; see `assignment.split_regions`."""
         return assignment.split_regions(
             labels, self.points, self.graph, min_pixels=self.min_pixels, gap=max(0.03, self.reach)
         )
@@ -141,7 +157,7 @@ def settle(
     verdicts: list[Verdict] = []
     explained = stage.background_cost < 3
     for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
-        cost = stage.cost(motions[k])
+        cost = stage.cost(motions[k], stage.around(stage.points[masks[k] & stage.valid]))
         explained |= masks[k] & (cost < 3)
         gains = ((stage.background_cost - cost) * stage.telling)[masks[k]]
         if gains.mean() < MIN_GAIN or gains.sum() < MIN_TOTAL_GAIN or not _moved(stage, masks[k], motions[k]):
@@ -156,7 +172,8 @@ def settle(
     for region in _unexplained(stage, ~explained & (labels == 0)):
         own = movers[inside(region, movers, target.camera)]
         motion = rigid.fit_matches(own, target.camera)[0] if len(own.curr) >= 6 else stage.background
-        fit = float((stage.cost(motion)[region] < 2).mean())
+        box = stage.around(stage.points[region & stage.valid])
+        fit = float((stage.cost(motion, box)[region] < 2).mean())
         verdicts.append(Verdict(motion, round(0.25 * fit, 4), True))
         labels[region & (labels == 0)] = len(verdicts)
     return labels, verdicts
@@ -173,7 +190,8 @@ def prune(stage: Stage, masks: list[Mask], motions: list[Array]) -> list[int]:
     Returns:
         Indices to keep, in their order.
     """
-    costs = [stage.cost(motion) for motion in motions]
+    boxes = [stage.around(stage.points[mask & stage.valid]) for mask in masks]
+    costs = [stage.cost(motion, box) for motion, box in zip(motions, boxes, strict=True)]
     keep = list(range(len(masks)))
     # Weakest first, so that of two alike the weaker one goes and the other stays.
     for k in sorted(keep, key=lambda k: int(masks[k].sum())):
@@ -192,12 +210,13 @@ def _host(stage: Stage, mask: Mask, motion: Array, labels: NDArray[np.int32], ve
     colour of what lies behind it, and some odd motion always finds that colour again.
     """
     around = labels[(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0) & ~mask]
-    best = float(stage.cost(motion, color=False)[mask].mean()) + 0.3
+    box = stage.around(stage.points[mask & stage.valid])
+    best = float(stage.cost(motion, box, color=False)[mask].mean()) + 0.3
     host = None
     for number in np.unique(around[around > 0]):
         if mask.sum() > 0.5 * (labels == number).sum():
             continue
-        theirs = float(stage.cost(verdicts[number - 1].prev_T_curr, color=False)[mask].mean())
+        theirs = float(stage.cost(verdicts[number - 1].prev_T_curr, box, color=False)[mask].mean())
         if theirs < best:
             best, host = theirs, int(number)
     return host
@@ -219,9 +238,18 @@ def _unexplained(stage: Stage, doubtful: Mask) -> list[Mask]:
     """Larger regions that cannot have been where any motion puts them."""
     core = cv2.morphologyEx((doubtful & stage.curr.valid).astype(np.uint8), cv2.MORPH_OPEN, np.ones((5, 5)))
     numbers, count = ndimage.label(cv2.dilate(core, np.ones((3, 3))), structure=np.ones((3, 3)))
-    sizes = ndimage.sum_labels(np.ones_like(numbers), numbers, range(1, count + 1))
-    ranked = np.argsort(-np.asarray(sizes))[:MAX_UNEXPLAINED] + 1
-    return [numbers == n for n in ranked if sizes[n - 1] >= 4 * stage.min_pixels]
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
+    ranked = np.argsort(-sizes)[:MAX_UNEXPLAINED]
+    return [numbers == n + 1 for n in ranked if sizes[n] >= 4 * stage.min_pixels]
+
+
+def _within(box: assignment.Box, other: assignment.Box) -> bool:
+    """Whether a box lies inside another."""
+    if other == assignment.EVERYWHERE:
+        return True
+    if box == assignment.EVERYWHERE:
+        return False
+    return all(o.start <= b.start and b.stop <= o.stop for b, o in zip(box, other, strict=True))
 
 
 def inside(mask: Mask, matches: Matches, camera: Camera) -> Mask:

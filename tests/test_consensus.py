@@ -1,0 +1,190 @@
+"""The training-free estimator on analytic scenes whose motion is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+import analytic
+import objectflow
+from objectflow import RgbdFrame, SceneMotion, geometry
+from objectflow.errors import MethodError
+
+SEEDS = range(100, 112)
+
+
+@dataclass(frozen=True)
+class Scored:
+    pair: analytic.AnalyticPair
+    motion: SceneMotion
+    dense_flow: SceneMotion
+
+
+def f_score(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    return 2.0 * float((mask & truth).sum()) / float(mask.sum() + truth.sum())
+
+
+def match_objects(pair: analytic.AnalyticPair, motion: SceneMotion) -> list[tuple[int, int | None, float]]:
+    """(true label, found id or None, F) for each visible moving object, by the best assignment."""
+    true = [label for label in sorted(pair.moving) if (pair.labels == label).any()]
+    table = np.array(
+        [[f_score(motion.labels == o.id, pair.labels == label) for o in motion.objects] for label in true]
+    )
+    table = table.reshape(len(true), len(motion.objects))
+    rows, columns = linear_sum_assignment(-table)
+    found = {true[r]: (motion.objects[c].id, float(table[r, c])) for r, c in zip(rows, columns, strict=True)}
+    return [(label, *found.get(label, (None, 0.0))) for label in true]
+
+
+def masked_epe(pair: analytic.AnalyticPair, motion: SceneMotion) -> float:
+    in_both = [label for label in pair.prev_T_curr if (pair.prev_labels == label).any()]
+    mask = np.isin(pair.labels, in_both) & np.isfinite(pair.scene_flow[..., 2])
+    return float(np.linalg.norm((motion.scene_flow - pair.scene_flow)[mask], axis=-1).mean())
+
+
+@pytest.fixture(scope="module")
+def scored() -> list[Scored]:
+    consensus, dense = objectflow.load("consensus"), objectflow.load("dense-flow")
+    pairs = [analytic.make_scene(seed) for seed in SEEDS]
+    return [Scored(pair, consensus(pair.prev, pair.curr), dense(pair.prev, pair.curr)) for pair in pairs]
+
+
+def test_error_is_at_most_half_of_dense_flows(scored: list[Scored]) -> None:
+    ours = np.mean([masked_epe(s.pair, s.motion) for s in scored])
+    theirs = np.mean([masked_epe(s.pair, s.dense_flow) for s in scored])
+    assert ours <= 0.5 * theirs
+
+
+def test_most_objects_are_extracted_and_nothing_is_invented(scored: list[Scored]) -> None:
+    matches = [match for s in scored for match in match_objects(s.pair, s.motion)]
+    assert np.mean([f >= 0.75 for _, _, f in matches]) >= 0.85
+    surplus = sum(len(s.motion.objects) for s in scored) - sum(identifier is not None for _, identifier, _ in matches)
+    assert surplus <= 1
+
+
+def test_extracted_objects_have_the_true_motion(scored: list[Scored]) -> None:
+    errors = []
+    for s in scored:
+        by_id = {obj.id: obj for obj in s.motion.objects}
+        for label, identifier, f in match_objects(s.pair, s.motion):
+            if identifier is not None and f >= 0.75:
+                true, center = s.pair.prev_T_curr[label], s.pair.centers[label]
+                found = by_id[identifier].prev_T_curr
+                errors.append(np.linalg.norm(geometry.transform(found, center) - geometry.transform(true, center)))
+    assert np.median(errors) < 0.002
+
+
+def test_a_still_camera_leaves_background_flow_exactly_zero(scored: list[Scored]) -> None:
+    for s in scored:
+        background = (s.motion.labels == 0) & s.pair.curr.valid
+        assert s.motion.camera_motion is None
+        assert not s.motion.scene_flow[background].any()
+
+
+def test_flow_is_that_of_the_reported_motions(scored: list[Scored]) -> None:
+    for s in scored[:3]:
+        points = geometry.back_project(s.pair.curr.depth, s.pair.curr.camera)
+        for obj in s.motion.objects:
+            mask = (s.motion.labels == obj.id) & s.pair.curr.valid
+            moved = geometry.transform(obj.prev_T_curr, points[mask].astype(np.float64)) - points[mask]
+            np.testing.assert_allclose(s.motion.scene_flow[mask], moved, atol=1e-6)
+
+
+def test_nothing_moves_in_a_still_scene() -> None:
+    pair = analytic.make_scene(5, moving_share=0.0)
+    motion = objectflow.load("consensus")(pair.prev, pair.curr)
+    assert motion.objects == ()
+    assert motion.camera_motion is None
+    assert not motion.labels.any()
+
+
+def test_only_the_movers_among_still_objects_are_found() -> None:
+    pair = analytic.make_scene(17, objects=(4, 6), moving_share=0.4)
+    motion = objectflow.load("consensus")(pair.prev, pair.curr)
+    matches = match_objects(pair, motion)
+    assert 0 < len(matches) < len(pair.prev_T_curr)
+    assert len(motion.objects) == len(matches)
+    assert all(f >= 0.75 for _, _, f in matches)
+
+
+def test_a_moving_camera_is_noticed_and_measured() -> None:
+    curr_T_prev = geometry.se3_exp([0.02, -0.01, 0.015, 0.01, 0.03, -0.02])
+    pair = analytic.make_scene(3, camera_motion=curr_T_prev)
+    motion = objectflow.load("consensus", camera="auto")(pair.prev, pair.curr)
+    assert motion.camera_motion is not None
+    error = geometry.inverse(pair.camera_motion) @ motion.camera_motion
+    assert np.linalg.norm(error[:3, 3]) < 0.001
+    assert np.degrees(geometry.rotation_angle(error[:3, :3])) < 0.1
+    assert all(f >= 0.75 for _, _, f in match_objects(pair, motion))
+
+
+def test_noisy_depth_does_not_flood_the_result() -> None:
+    pair = analytic.make_scene(9, depth_noise=0.002)
+    motion = objectflow.load("consensus")(pair.prev, pair.curr)
+    matches = match_objects(pair, motion)
+    assert len(motion.objects) <= len(matches) + 1
+    assert all(f >= 0.75 for _, _, f in matches)
+
+
+def test_the_same_input_gives_the_same_result() -> None:
+    pair = analytic.make_scene(4)
+    first, second = (objectflow.load("consensus")(pair.prev, pair.curr) for _ in range(2))
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_array_equal(first.scene_flow, second.scene_flow)
+
+
+def test_what_no_rigid_motion_explains_is_one_region_with_a_low_score() -> None:
+    """A patch of the floor that turns into a wavy bump: new shape, new colours, no motion."""
+    pair = analytic.make_scene(9, moving_share=0.0)
+    rng = np.random.default_rng(0)
+    height, width = pair.curr.depth.shape
+    v, u = np.mgrid[0:height, 0:width]
+    radius = np.hypot(u - 230, v - 170)
+    patch = radius < 30
+    depth, color = pair.curr.depth.copy(), pair.curr.color.copy()
+    depth[patch] -= (0.03 + 0.02 * np.sin(u / 3.0)[patch]).astype(np.float32)
+    color[patch] = rng.integers(0, 255, (int(patch.sum()), 3), np.uint8)
+    curr = RgbdFrame(color=color, depth=depth, camera=pair.curr.camera)
+    motion = objectflow.load("consensus")(pair.prev, curr)
+    assert 1 <= len(motion.objects) <= 2
+    assert f_score(motion.labels > 0, patch) > 0.6
+    assert max(obj.score for obj in motion.objects) < 0.5
+
+
+@pytest.mark.parametrize("size", [(64, 48), (161, 121), (640, 360)])
+def test_any_resolution_gives_results_on_its_own_pixels(size: tuple[int, int]) -> None:
+    pair = analytic.make_scene(4, width=320, height=240)
+    prev, curr = pair.prev.resized(*size), pair.curr.resized(*size)
+    motion = objectflow.load("consensus")(prev, curr)
+    assert motion.labels.shape == (size[1], size[0])
+    assert np.isnan(motion.scene_flow[..., 2]).sum() == (~curr.valid).sum()
+
+
+def test_frames_without_texture_or_overlap_do_not_crash() -> None:
+    pair = analytic.make_scene(4)
+    plain = RgbdFrame(np.full_like(pair.curr.color, 128), np.full_like(pair.curr.depth, 0.7), pair.curr.camera)
+    few = np.zeros_like(pair.curr.depth)
+    few[100:104, 100:104] = 0.5
+    sparse = RgbdFrame(pair.curr.color, few, pair.curr.camera)
+    for prev, curr in (
+        (plain, plain),
+        (plain, pair.curr),
+        (pair.prev, plain),
+        (sparse, pair.curr),
+        (pair.prev, sparse),
+    ):
+        motion = objectflow.load("consensus")(prev, curr)
+        assert np.isfinite(motion.scene_flow[curr.valid]).all()
+
+
+def test_bad_options_are_refused() -> None:
+    with pytest.raises(MethodError, match="auto, static or moving"):
+        objectflow.load("consensus", camera="handheld")
+    with pytest.raises(MethodError, match="no option 'speed'"):
+        objectflow.load("consensus", speed=3)
+    with pytest.raises(MethodError, match="consensus, dense-flow, zero"):
+        objectflow.load("magic")

@@ -1,0 +1,76 @@
+"""`consensus` on real pairs that lie beside the checkout; nothing of them is in the repository."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import objectflow
+from objectflow import geometry
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import real_pairs  # noqa: E402
+
+pytestmark = pytest.mark.skipif(not (DATA / "boxes_1").is_dir(), reason=f"no real pairs in {DATA}")
+
+
+def estimate(name: str, camera: str = "auto") -> tuple[objectflow.SceneMotion, real_pairs.Truth | None, np.ndarray]:
+    prev, curr = real_pairs.read_pair(DATA / name)
+    motion = objectflow.load("consensus", camera=camera)(prev, curr)
+    return motion, real_pairs.read_truth(DATA / name, curr), geometry.back_project(curr.depth, curr.camera)
+
+
+@pytest.mark.parametrize("name", ["boxes_1", "boxes_2"])
+def test_one_box_moves_among_clutter(name: str) -> None:
+    motion, truth, points = estimate(name)
+    assert truth is not None
+    assert len(motion.objects) == 1
+    obj = motion.objects[0]
+    k, iou = real_pairs.overlap(motion.labels == obj.id, truth)
+    assert truth.moving[k]
+    assert iou >= 0.8
+    center = np.nanmedian(points[truth.labels == k], axis=0).astype(np.float64)
+    true = truth.prev_T_curr[k]
+    assert np.linalg.norm(geometry.transform(obj.prev_T_curr, center) - geometry.transform(true, center)) < 0.015
+    assert np.degrees(geometry.rotation_angle(obj.prev_T_curr[:3, :3] @ true[:3, :3].T)) < 3
+
+
+def test_nothing_moves_in_the_still_pair() -> None:
+    motion, _, _ = estimate("boxes_still")
+    assert motion.objects == ()
+    assert motion.camera_motion is None
+
+
+@pytest.mark.parametrize("name", ["bin_1", "bin_2"])
+def test_carrot_and_ball_move_and_the_doll_does_not(name: str) -> None:
+    motion, truth, points = estimate(name, camera="moving")
+    assert truth is not None
+    found = {real_pairs.overlap(motion.labels == obj.id, truth)[0]: obj for obj in motion.objects}
+    assert {truth.names[k] for k in found} == {"carrot", "ball"}
+    assert len(motion.objects) == 2
+    for k, obj in found.items():
+        center = np.nanmedian(points[truth.labels == k], axis=0).astype(np.float64)
+        error = geometry.transform(obj.prev_T_curr, center) - geometry.transform(truth.prev_T_curr[k], center)
+        assert np.linalg.norm(error) < 0.006
+
+
+def test_a_panning_camera_is_no_object() -> None:
+    motion, _, _ = estimate("pan")
+    assert motion.camera_motion is not None
+    assert motion.objects == ()
+
+
+def test_the_robot_is_one_moving_region() -> None:
+    motion, _, _ = estimate("robot")
+    assert len(motion.objects) == 1
+    # The robot fills these columns of the picture, from its base to its head.
+    rows, columns = np.nonzero(motion.labels)
+    assert np.mean((columns > 300) & (columns < 490)) > 0.97
+    assert rows.min() < 60
+    assert rows.max() > 430
