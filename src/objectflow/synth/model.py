@@ -46,10 +46,12 @@ class ObjectModel:
     uv: NDArray[np.float64]
     """(V, 2) texture coordinates, mostly in [0, 1]; v runs upwards."""
     parts: tuple[NDArray[np.float64], ...]
-    """Collision shape: a union of convex hulls, each the (P, 3) metres vertices of one, object frame."""
+    """Collision shape: a union of convex hulls. Each (P, 3) metres, object frame, has the points of one hull; some of
+    them may lie inside it."""
     symmetry: tuple[SymmetryAxis, ...]
-    """Every axis of the object's rotation group that generates it; empty when only the identity maps it to itself.
-    Geometric: a texture may break it, as in the paper."""
+    """All axes of a finite group, each with its highest order. With a continuous axis that can be turned over, that
+    axis and one C2 axis across it, which stands for all; a ball has three continuous axes. Empty when only the
+    identity maps the object to itself. Geometric: a texture may break it, as in the paper."""
     texture: NDArray[np.uint8] | None = None
     """(h, w, 3) uint8 RGB, where a mesh file brings its own."""
 

@@ -63,27 +63,28 @@ def loft(
     if closed:
         grid = np.concatenate([grid, grid[:1]])
     rows = len(grid)
-    u = _fractions(grid.mean(axis=0))
-    v = _fractions(grid[:, 0])
-    vertices = [grid.reshape(-1, 3)]
-    uvs = [np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1).reshape(-1, 2)]
     a = (np.arange(rows - 1)[:, None] * (K + 1) + np.arange(K)[None, :]).ravel()
     b, c, d = a + 1, a + K + 2, a + K + 1
+    vertices, count = [grid.reshape(-1, 3)], rows * (K + 1)
     faces = [np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]
-    count = rows * (K + 1)
+    fans = []
     if not closed:
         for ring, tip, turn in ((rings[0], start_tip, -1), (rings[-1], end_tip, 1)):
             center = ring.mean(axis=0) if tip is None else np.asarray(tip, dtype=np.float64)
             vertices += [ring, center[None]]
-            uvs.append(_disc_uv(ring, center))
             i = count + np.arange(K)
-            fan = np.stack([i, np.roll(i, -1), np.full(K, count + K)], axis=1)
-            faces.append(fan[:, ::turn])
+            faces.append(np.stack([i, np.roll(i, -1), np.full(K, count + K)], axis=1)[:, ::turn])
+            fans.append((ring, center, turn))
             count += K + 1
     points, triangles = np.concatenate(vertices), np.concatenate(faces).astype(np.int32)
-    if signed_volume(points, triangles) < 0:
+    inside_out = signed_volume(points, triangles) < 0
+    if inside_out:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-    return Solid(points, triangles, np.concatenate(uvs), tuple(parts))
+    u, v = _fractions(grid.mean(axis=0)), _fractions(grid[:, 0])
+    sense = -1 if inside_out else 1  # a picture on the surface must not read backwards
+    wall = np.stack(np.broadcast_arrays((u if sense > 0 else 1 - u)[None, :], v[:, None]), axis=-1).reshape(-1, 2)
+    uv = np.concatenate([wall, *(_disc_uv(ring, center, turn * sense) for ring, center, turn in fans)])
+    return Solid(points, triangles, uv, tuple(parts))
 
 
 def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
@@ -107,11 +108,17 @@ def _fractions(line: Array) -> Array:
     return covered / total if total > 0 else np.linspace(0, 1, len(line))
 
 
-def _disc_uv(ring: Array, center: Array) -> Array:
-    """A flat picture of a fan: (K + 1, 2), its centre last."""
+def _disc_uv(ring: Array, center: Array, sense: int) -> Array:
+    """A flat picture of a fan, upright along its longest side: (K + 1, 2), its centre last.
+
+    `sense` is 1 where the ring runs counter-clockwise seen from outside, -1 otherwise.
+    """
     spokes = ring - center
-    x = spokes[0] / np.linalg.norm(spokes[0])
-    normal = np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0)
+    sides = np.roll(ring, -1, axis=0) - ring
+    lengths = np.linalg.norm(sides, axis=1)
+    longest = int(np.argmax(lengths > 0.999 * lengths.max()))  # the first of those that differ by rounding only
+    x = sides[longest] / lengths[longest]
+    normal = sense * np.cross(spokes, np.roll(spokes, -1, axis=0)).sum(axis=0)
     y = np.cross(normal / np.linalg.norm(normal), x)
     flat = np.stack([spokes @ x, spokes @ y], axis=1)
     return np.concatenate([0.5 + 0.5 * flat / np.abs(flat).max(), [[0.5, 0.5]]])
