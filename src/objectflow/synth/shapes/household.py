@@ -43,9 +43,9 @@ def box(rng: Generator) -> Shape:
         (t, a - 2 * t, (-(c - t) / 2, 0)),
     ]
     outer, inner = rectangle(c, a), rectangle(c - 2 * t, a - 2 * t)
-    levels = [(outer, 0.0), (outer, b), (inner, b), (inner, t)]
+    levels = [(outer, 0.0), (outer, b), (inner, b), (inner, 0.006)]
     rings = np.stack([np.column_stack([outline, np.full(4, z)]) for outline, z in levels])
-    parts = [np.concatenate([rings[0], rings[0] + [0, 0, t]])]
+    parts = [np.concatenate([rings[0], rings[0] + [0, 0, 0.006]])]
     parts += [_cuboid(x, y, b, (u, v, b / 2)).vertices for x, y, (u, v) in walls]
     return loft(rings, parts), spin(2)
 

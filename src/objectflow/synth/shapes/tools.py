@@ -56,7 +56,7 @@ def spoon(rng: Generator) -> Shape:
     curve = np.concatenate([[[0, 0]], np.stack([a * np.sin(angle), depth * (1 - np.cos(angle))], axis=1)])
     curve[1:, 1] -= curve[1, 1]
     rim = curve[-1, 1]
-    dish = vessel(curve, t, superellipse(40, 2.0, rng.uniform(0.6, 0.8)), wedges=10)
+    dish = vessel(curve, t, superellipse(40, 2.0, rng.uniform(0.6, 0.8)), wedges=10, floor=t)
     length, rise = rng.uniform(0.1, 0.15), rng.uniform(0.005, 0.025)
     s = np.linspace(0, 1, 12)
     path = np.stack([a - 0.002 + length * s, 0 * s, rim - 0.001 + rise * np.sin(s * np.pi * 0.9)], axis=1)

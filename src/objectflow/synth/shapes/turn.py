@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 Section = Array | Callable[[float], Array]
 """A (K, 2) outline of about unit radius that the profile's radius scales; or one for each height z."""
 
+_THICK_FLOOR = 0.006
+"""Metres: a thinner floor is passed through by what falls on it at 2 m/s between two steps of the physics."""
 _HULL_SIDES = 20
 _HULL_ERROR = 0.0015
 """Metres by which a convex part may bulge over a hollow of the profile before the stack is cut in two."""
@@ -35,28 +37,36 @@ def turned(profile: ArrayLike, section: Section | None = None, hull_profile: Arr
 
 
 def vessel(
-    outer: ArrayLike, thickness: float, section: Section | None = None, wedges: int = 12, levels: int = 1
+    outer: ArrayLike,
+    thickness: float,
+    section: Section | None = None,
+    wedges: int = 12,
+    levels: int = 1,
+    *,
+    floor: float = _THICK_FLOOR,
 ) -> Solid:
-    """A hollow thing, open at the top: a wall of even thickness and a floor.
+    """A hollow thing, open at the top: a wall of even thickness and a flat floor inside.
 
     Args:
         outer: (N, 2) of (r, z) metres: the outside from (0, z) at the bottom, by the foot's edge, to the rim.
-        thickness: of wall and floor, metres.
+        thickness: of the wall, metres.
         section: see `Section`; its point count is a multiple of `wedges`. A circle of 4 * wedges sides when None.
         wedges: convex parts around the wall.
         levels: convex parts up the wall, 1 or 2; the cut is where the parts bulge least.
+        floor: thickness of the floor, metres; at least that of the wall.
     """
     p = np.asarray(outer, dtype=np.float64)
     if section is None:
         section = circle(4 * wedges)
     inner = offset_inwards(p, thickness)
-    inner[0] = 0, p[0, 1] + thickness
+    ground = p[0, 1] + max(floor, thickness)
+    inner[:-1, 1] = np.maximum(inner[:-1, 1], ground)
+    inner[0] = 0, ground
     inner[-1, 1] = p[-1, 1]
     rim = (p[-1] + inner[-1]) / 2 + [0, thickness * 0.3]
     whole = np.concatenate([p[1:], [rim], inner[:0:-1]])
     outer_rings, inner_rings = _rings(p, section), _rings(inner, section)
-    floor = np.concatenate([_thinned(outer_rings[1]), _thinned(inner_rings[1] * [1, 1, 0] + [0, 0, inner[0, 1]])])
-    parts = [floor]
+    parts = [np.concatenate([_thinned(outer_rings[1]), _thinned(inner_rings[1])])]
     step = outer_rings.shape[1] // wedges
     for start, stop in _wall_runs(p[1:], inner[1:], levels):
         rows = np.unique(np.linspace(start + 1, stop + 1, min(stop - start + 1, 6)).round().astype(int))
