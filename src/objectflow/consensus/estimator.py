@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import correspondence, geometry, rigid
-from objectflow.consensus import assignment, verdict
+from objectflow.consensus import verdict
 from objectflow.consensus.background import background_motion
 from objectflow.consensus.proposals import propose
 from objectflow.consensus.seek import seek
+from objectflow.consensus.sharpen import sharpen
+from objectflow.consensus.stage import Stage, enlarge, inside
 from objectflow.correspondence import Matches
 from objectflow.errors import MethodError
 from objectflow.estimator import check_camera_option
@@ -55,7 +57,7 @@ class Consensus:
     camera: str = "auto"
     match_width: int = 640
     label_width: int = 320
-    min_object_share: float = 0.0008
+    min_object_share: float = 0.0012
     rounds: int = 3
     seed: int = 0
 
@@ -83,7 +85,7 @@ class Consensus:
         ]
         # 4. Pixels to motions, motions from pixels.
         prev_s, curr_s = _narrow(prev, self.label_width), _narrow(curr, self.label_width)
-        stage = verdict.Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
+        stage = Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         masks: list[Mask] = []
         for number in range(self.rounds):
             fine = number + 1 == self.rounds
@@ -95,7 +97,7 @@ class Consensus:
         # 5. Keep what stands: objects that moved, and regions that no motion explains.
         labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
         # 6. The full image: sharp labels, and the flow made again from the motions.
-        labels = assignment.sharpen(labels_s, curr_s, curr)
+        labels = sharpen(labels_s, curr_s, curr)
         return self._result(curr, labels, objects, camera_motion, start)
 
     def _min_pixels(self, frame: RgbdFrame) -> int:
@@ -103,7 +105,7 @@ class Consensus:
 
     def _assign_and_refine(
         self,
-        stage: verdict.Stage,
+        stage: Stage,
         hypotheses: list[Hypothesis],
         target: rigid.Target,
         curr: RgbdFrame,
@@ -121,8 +123,8 @@ class Consensus:
         refined: list[Hypothesis] = []
         for label, mask in stage.split(labels):
             start = motions[label - 1]
-            own = movers[verdict.inside(mask, movers, curr.camera)]
-            source = rigid.make_source(curr, verdict.enlarge(mask, curr), limit=2000)
+            own = movers[inside(mask, movers, curr.camera)]
+            source = rigid.make_source(curr, enlarge(mask, curr), limit=2000)
             if len(own.curr) >= 6:
                 start = _better_start(start, own, curr)
             fit = rigid.refine(target, source, start, matches=own)

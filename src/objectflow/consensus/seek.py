@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import geometry, rigid
-from objectflow.consensus import assignment
-from objectflow.consensus.verdict import MIN_GAIN, Stage, enlarge, inside
+from objectflow.consensus.cost import motion_cost
+from objectflow.consensus.stage import Stage, enlarge, inside
+from objectflow.consensus.verdict import MIN_GAIN
 from objectflow.correspondence import Matches
-from objectflow.frame import RgbdFrame
+from objectflow.frame import Camera, RgbdFrame
 from objectflow.noise import match_sigma
 
 Array = NDArray[np.float64]
@@ -71,19 +72,26 @@ def seek(
         own = movers[inside(wide, movers, curr.camera)]
         box = stage.around(stage.points[region & stage.valid])
         source = rigid.make_source(curr, enlarge(wide, curr), limit=1000)
-        starts = _starts(stage, region, own, vanished)
-        starts.sort(key=lambda start: -rigid.judge(target, source, start).explained)  # noqa: B023
-        refined = [
-            rigid.refine(target, source, start, matches=_agreeing(own, start, curr)).prev_T_curr
-            for start in starts[:MAX_STARTS]
-        ]
-        if not refined:
+        best = _align(stage, region, target, source, own, _starts(stage, region, own, vanished))
+        if best is None:
             continue
-        best = min(refined, key=lambda motion: float(stage.cost(motion, box)[region].mean()))  # noqa: B023
-        rival = np.minimum.reduce([stage.background_cost, *(stage.cost(motion, box) for motion in motions)])
+        rival = np.minimum.reduce([stage.background_cost, *[stage.cost(motion, box) for motion in motions]])
         if float(stage.cost(best, box)[region].mean()) < float(rival[region].mean()) - 2 * MIN_GAIN:
-            found.append(Found(best, region, _agreeing(own, best, curr)))
+            found.append(Found(best, region, _agreeing(own, best, curr.camera)))
     return found
+
+
+def _align(
+    stage: Stage, region: Mask, target: rigid.Target, source: rigid.Source, own: Matches, starts: list[Array]
+) -> Array | None:
+    """The refined motion that explains a region best, from the most promising of several starts; None without any."""
+    promising = sorted(starts, key=lambda start: -rigid.judge(target, source, start).explained)[:MAX_STARTS]
+    refined = [
+        rigid.refine(target, source, start, matches=_agreeing(own, start, target.camera)).prev_T_curr
+        for start in promising
+    ]
+    box = stage.around(stage.points[region & stage.valid])
+    return min(refined, key=lambda motion: float(stage.cost(motion, box)[region].mean()), default=None)
 
 
 def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
@@ -98,7 +106,7 @@ def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
 def _vanished(stage: Stage) -> list[NDArray[np.float32]]:
     """Points of the previous frame that are gone: each region of them as (N, 3)."""
     points = geometry.back_project(stage.prev.depth, stage.prev.camera)
-    cost, hidden = assignment.motion_cost(
+    cost, hidden = motion_cost(
         stage.curr, points, geometry.inverse(stage.background), (stage.looks[1], stage.looks[0])
     )
     gone = (cost >= 1.5) & stage.prev.valid & ~hidden
@@ -128,6 +136,6 @@ def _shifted(background: Array, shift: NDArray[np.floating]) -> Array:
     return moved
 
 
-def _agreeing(matches: Matches, prev_T_curr: Array, curr: RgbdFrame) -> Matches:
+def _agreeing(matches: Matches, prev_T_curr: Array, camera: Camera) -> Matches:
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
-    return matches[error < 4 * match_sigma(matches.curr[:, 2], curr.camera)]
+    return matches[error < 4 * match_sigma(matches.curr[:, 2], camera)]

@@ -1,0 +1,143 @@
+"""Pixels to motions: labels at the working size, from the costs of all motions and the walk along surfaces."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.consensus.cost import COST_FLOATING, COST_HIDDEN, EVERYWHERE, Box, Look, motion_cost, nearness_cost
+from objectflow.consensus.surfaces import PixelGraph, split_regions
+from objectflow.correspondence import Matches
+from objectflow.frame import Camera, RgbdFrame
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+OBJECT_PRIOR = 0.3
+"""Cost of any object's motion over the background's: undecided pixels are background."""
+HIDDEN_BY_KNOWN = 0.6
+"""Cost of having been hidden behind an object that is known to have been there."""
+
+
+class Stage:
+    """The two frames at the size where pixels are assigned, with what every round needs of them."""
+
+    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
+        self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
+        self.background = np.eye(4) if camera_motion is None else camera_motion
+        self._costs: dict[tuple[bytes, bool], tuple[Box, Floats]] = {}
+        self.points = geometry.back_project(curr.depth, curr.camera)
+        self.valid = curr.valid
+        self.graph = PixelGraph(curr)
+        self.looks = Look(prev.color), Look(curr.color)
+        self.background_cost, self.hidden = motion_cost(prev, self.points, self.background, self.looks)
+        self.rival_cost = self.background_cost
+        # Before a static camera what was hidden is uncovered by a moving thing; a moving camera uncovers by itself.
+        self.camera_moved = camera_motion is not None
+        self.telling = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
+        self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
+
+    def cost(self, prev_T_curr: Array, box: Box = EVERYWHERE, *, color: bool = True) -> Floats:
+        """(H, W) cost of a motion within a box, ruled out elsewhere; see `motion_cost`."""
+        key = (prev_T_curr.tobytes(), color)
+        if key not in self._costs or not _within(box, self._costs[key][0]):
+            looks = self.looks if color else None
+            cost = np.full(self.valid.shape, COST_FLOATING, np.float32)
+            cost[box] = motion_cost(self.prev, self.points, prev_T_curr, looks, box)[0]
+            self._costs[key] = box, cost
+        return self._costs[key][1]
+
+    def around(self, points: Floats) -> Box:
+        """The box of pixels within a few times `reach` of points (N, 3)."""
+        pixels = geometry.project(points, self.curr.camera)
+        margin = 3.2 * self.reach * self.curr.camera.fx / max(0.1, float(points[:, 2].min()))
+        low, high = pixels.min(axis=0) - margin, pixels.max(axis=0) + margin + 1
+        height, width = self.valid.shape
+        top, bottom = (int(np.clip(value, 0, height)) for value in (low[1], high[1]))
+        left, right = (int(np.clip(value, 0, width)) for value in (low[0], high[0]))
+        return slice(top, bottom), slice(left, right)
+
+    def assign(
+        self, motions: list[Array], anchors: list[Floats], masks: list[Mask], *, fine: bool
+    ) -> NDArray[np.int32]:
+        """Labels by cost, nearness and the walk along surfaces.
+
+        Args:
+            motions: `prev_T_curr` of each object.
+            anchors: (N, 3) points that follow each.
+            masks: (H, W) of each, as far as known; empty in the first round.
+            fine: to the pixel, or in blocks of 2x2.
+
+        Returns:
+            (H, W) int32: 0 = background, k = the k-th motion.
+        """
+        self.rival_cost = self._background_cost_given(motions, masks)
+        costs = [self.rival_cost]
+        for motion, points in zip(motions, anchors, strict=True):
+            near = nearness_cost(self.points, points, self.reach)
+            costs.append(self.cost(motion, self.around(points)) + near + OBJECT_PRIOR)
+        probability = self.graph.walk(np.stack(costs), fine=fine)
+        return np.asarray(probability.argmax(0), dtype=np.int32)
+
+    def anchors(self, mask: Mask, motion: Array) -> Floats:
+        """(N, 3) points of a mask that its motion explains and the background's cannot."""
+        cost = self.cost(motion, self.around(self.points[mask & self.valid]))
+        decided = mask & self.valid & (self.rival_cost - cost > 1)
+        return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
+
+    def _background_cost_given(self, motions: list[Array], masks: list[Mask]) -> Floats:
+        """The background's cost when objects are known: what they hid in `prev` may well be background.
+
+        Then being hidden costs only what the object's colours say: on a dull surface every motion finds the colour
+        again and it says nothing, on a textured one a motion that finds it is hardly wrong.
+        """
+        if not masks:
+            return self.background_cost
+        height, width = self.valid.shape
+        occupied = np.zeros((height, width), np.uint8)
+        for motion, mask in zip(motions, masks, strict=True):
+            column, row, inside_image = self._pixels_in_prev(motion, self.points[mask & self.valid])
+            occupied[row[inside_image], column[inside_image]] = 1
+        spread = cv2.dilate(occupied, np.ones((5, 5)))
+        column, row, _ = self._pixels_in_prev(self.background, self.points)
+        expected = self.hidden & (spread[row, column] > 0)
+        texture = np.minimum(self.looks[1].contrast[0] / 25, 1)
+        cost = HIDDEN_BY_KNOWN + (COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
+        return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
+
+    def _pixels_in_prev(self, motion: Array, points: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Mask]:
+        pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), self.prev.camera), nan=-9)
+        height, width = self.valid.shape
+        column, row = np.rint(pixels[..., 0]).astype(int), np.rint(pixels[..., 1]).astype(int)
+        inside_image = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+        return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside_image
+
+    def split(self, labels: NDArray[np.int32]) -> list[tuple[int, Mask]]:
+        """The separate objects of each label; see `split_regions`."""
+        return split_regions(labels, self.points, self.graph, min_pixels=self.min_pixels, gap=max(0.03, self.reach))
+
+
+def _within(box: Box, other: Box) -> bool:
+    """Whether a box lies inside another."""
+    if other == EVERYWHERE:
+        return True
+    if box == EVERYWHERE:
+        return False
+    return all(o.start <= b.start and b.stop <= o.stop for b, o in zip(box, other, strict=True))
+
+
+def inside(mask: Mask, matches: Matches, camera: Camera) -> Mask:
+    """(N,) bool: matches whose pixel, given on `camera`'s image, lies in a mask of any size."""
+    height, width = mask.shape
+    column = np.clip((matches.pixels[:, 0] + 0.5) * width / camera.width, 0, width - 1).astype(int)
+    row = np.clip((matches.pixels[:, 1] + 0.5) * height / camera.height, 0, height - 1).astype(int)
+    return np.asarray(mask[row, column])
+
+
+def enlarge(mask: Mask, frame: RgbdFrame) -> Mask:
+    """A mask brought to a frame's size by its nearest pixels."""
+    size = (frame.camera.width, frame.camera.height)
+    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
