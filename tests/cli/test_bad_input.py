@@ -227,6 +227,18 @@ def test_in_a_shell(module: bool, tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["empty"]
 
 
+def test_a_terminated_estimate_leaves_nothing(tmp_path: Path) -> None:
+    """The signal comes while the result is being written."""
+    code = (
+        "import os, signal, sys; from objectflow.cli import estimate, main; "
+        "estimate.write_result = lambda *_: os.kill(os.getpid(), signal.SIGTERM); sys.exit(main())"
+    )
+    command = [sys.executable, "-c", code, "estimate", str(PAIR), "--method", "zero", "--out", "deep/result"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (143, "", "")
+    assert os.listdir(tmp_path) == []
+
+
 def check_one_line(capfd: pytest.CaptureFixture[str], words: str) -> None:
     captured = capfd.readouterr()
     assert captured.out == ""

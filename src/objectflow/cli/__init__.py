@@ -6,6 +6,8 @@ import contextlib
 import importlib
 import io
 import os
+import re
+import signal
 import sys
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
@@ -15,6 +17,7 @@ from objectflow.errors import ObjectflowError
 EXIT_BAD_INPUT = 2
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
 DEBUG = "OBJECTFLOW_DEBUG"
 """An environment variable: a mistake of objectflow's own shows its traceback."""
 
@@ -55,6 +58,9 @@ EXAMPLES = """\
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for bad input, 1 for the disk, 130 if interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:
+        # A batch system's polite end: unfinished folders are removed on the way out, as for Ctrl-C.
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     try:
         return _dispatch(words)
     except ObjectflowError as error:
@@ -113,7 +119,9 @@ def _unboxed(text: str) -> str:
         if inner.startswith(("──", "╰")):
             break
         lines.append(inner)
-    return " ".join(lines).replace("[bold]", "").replace("[/bold]", "") or "arguments that cannot be understood"
+    # An option that may be left out is a union with None for the parser; nobody who types one means that.
+    noise = r"\[/?bold\]|\{None\}\||- <class 'NoneType'>: .*? \('None',\) "
+    return re.sub(noise, "", " ".join(lines)) or "arguments that cannot be understood"
 
 
 def _overview() -> str:
