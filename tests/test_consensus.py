@@ -188,3 +188,36 @@ def test_bad_options_are_refused() -> None:
         objectflow.load("consensus", speed=3)
     with pytest.raises(MethodError, match="consensus, dense-flow, zero"):
         objectflow.load("magic")
+
+
+def painted(frame: RgbdFrame, center: NDArray[np.float64], axes: NDArray[np.float64], *, shadow: bool) -> RgbdFrame:
+    """The frame with a 12 cm square on the floor: a coloured print without height, or a shadow."""
+    offset = geometry.back_project(frame.depth, frame.camera) - center
+    s, t = offset @ axes[0], offset @ axes[1]
+    with np.errstate(invalid="ignore"):
+        inside = (np.abs(s) < 0.06) & (np.abs(t) < 0.06)
+    color = frame.color.copy()
+    if shadow:
+        color[inside] = (0.55 * color[inside]).astype(np.uint8)
+    else:
+        rings = np.sin(np.hypot(s, t) * 250) + np.sin(s * 180) > 0
+        color[inside] = np.where(rings[inside, None], (220, 40, 30), (250, 220, 60))
+    return RgbdFrame(color=color, depth=frame.depth, camera=frame.camera)
+
+
+@pytest.mark.parametrize("shadow", [False, True])
+def test_a_flat_print_that_slides_is_found_and_a_shadow_is_not(shadow: bool) -> None:
+    pair = analytic.make_scene(9, moving_share=0.0)
+    points = geometry.back_project(pair.prev.depth, pair.prev.camera).astype(np.float64)
+    floor = points[(pair.prev_labels == 0) & (points[..., 2] < np.median(points[..., 2]))]
+    center = floor[np.argmin(np.linalg.norm(floor - floor.mean(axis=0), axis=1))]
+    _, _, axes = np.linalg.svd(floor[::50] - floor.mean(axis=0), full_matrices=False)
+    slide = 0.04 * axes[0]
+    prev = painted(pair.prev, center, axes, shadow=shadow)
+    curr = painted(RgbdFrame(pair.prev.color, pair.prev.depth, pair.prev.camera), center + slide, axes, shadow=shadow)
+    motion = objectflow.load("consensus")(prev, curr)
+    if shadow:
+        assert motion.objects == ()
+    else:
+        assert len(motion.objects) == 1
+        np.testing.assert_allclose(motion.objects[0].translation, -slide, atol=0.002)

@@ -99,16 +99,17 @@ class Stage:
         height, width = self.valid.shape
         occupied = np.zeros((height, width), np.uint8)
         for motion, mask in zip(motions, masks, strict=True):
-            column, row, inside_image = self._pixels_in_prev(motion, self.points[mask & self.valid])
+            column, row, inside_image = self.pixels_in_prev(motion, self.points[mask & self.valid])
             occupied[row[inside_image], column[inside_image]] = 1
         spread = cv2.dilate(occupied, np.ones((5, 5)))
-        column, row, _ = self._pixels_in_prev(self.background, self.points)
+        column, row, _ = self.pixels_in_prev(self.background, self.points)
         expected = self.hidden & (spread[row, column] > 0)
         texture = np.minimum(self.looks[1].contrast[0] / 25, 1)
         cost = HIDDEN_BY_KNOWN + (COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
         return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
 
-    def _pixels_in_prev(self, motion: Array, points: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Mask]:
+    def pixels_in_prev(self, motion: Array, points: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Mask]:
+        """Column and row in `prev` of points under a motion, clipped to the image, and whether they lie inside."""
         pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), self.prev.camera), nan=-9)
         height, width = self.valid.shape
         column, row = np.rint(pixels[..., 0]).astype(int), np.rint(pixels[..., 1]).astype(int)

@@ -20,6 +20,8 @@ Mask = NDArray[np.bool_]
 
 MIN_GAIN = 0.35
 """Mean log-likelihood a pixel that an object's motion must win over the background's."""
+SHADOW_HUE, SHADOW_SPREAD = 0.02, 0.35
+"""A shadow changes the share of red, green or blue by less, and the logarithm of brightness as evenly as this."""
 MIN_TOTAL_GAIN = 100.0
 """And over all its pixels together: what naming one more object costs. Neighbouring pixels are not independent."""
 MAX_UNEXPLAINED = 4
@@ -58,7 +60,8 @@ def settle(
         gains = ((stage.background_cost - cost) * stage.telling)[masks[k]]
         if gains.mean() < MIN_GAIN or gains.sum() < MIN_TOTAL_GAIN or not _moved(stage, masks[k], motions[k]):
             continue
-        if stage.camera_moved and _depth_gain(stage, masks[k], motions[k]) < MIN_GAIN:
+        flat = _depth_gain(stage, masks[k], motions[k]) < MIN_GAIN
+        if flat and (stage.camera_moved or _is_shadow(stage, masks[k])):
             continue
         host = _host(stage, masks[k], motions[k], labels, verdicts)
         if host is not None:
@@ -85,6 +88,19 @@ def _depth_gain(stage: Stage, mask: Mask, motion: Array) -> float:
     box = stage.around(stage.points[mask & stage.valid])
     still = stage.cost(stage.background, color=False)
     return float(((still - stage.cost(motion, box, color=False)) * stage.telling)[mask].mean())
+
+
+def _is_shadow(stage: Stage, mask: Mask) -> bool:
+    """Whether a region only got darker or lighter against the background: a shadow's own hue and print stay."""
+    column, row, _ = stage.pixels_in_prev(stage.background, stage.points)
+    changed = mask & stage.valid & (stage.background_cost > 1)
+    if not changed.any():
+        return True
+    before = stage.prev.color[row[changed], column[changed]].astype(np.float64) + 4
+    after = stage.curr.color[changed].astype(np.float64) + 4
+    hue = np.abs(before / before.sum(axis=1, keepdims=True) - after / after.sum(axis=1, keepdims=True)).max(axis=1)
+    dimming = np.log(after.sum(axis=1) / before.sum(axis=1))
+    return bool(np.median(hue) < SHADOW_HUE and np.std(dimming) < SHADOW_SPREAD)
 
 
 def prune(stage: Stage, masks: list[Mask], motions: list[Array]) -> list[int]:
