@@ -47,8 +47,8 @@ class Camera:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
                 raise CameraError(f"camera {name} must be a number, not {value!r}")
-            if not math.isfinite(value):
-                raise CameraError(f"camera {name} must be finite, not {value}")
+            if not _is_finite(value):
+                raise CameraError(f"camera {name} must be a finite number of common size")
         if int(self.width) != self.width or int(self.height) != self.height or min(self.width, self.height) < 1:
             raise CameraError(f"camera size must be whole and positive, not {self.width}x{self.height}")
         if self.fx <= 0 or self.fy <= 0:
@@ -255,8 +255,16 @@ def check_depth_scale(scale: object, *, where: str = "") -> None:
     """
     if isinstance(scale, bool) or not isinstance(scale, (int, float, np.integer, np.floating)):
         raise FrameError(f"{where}depth_scale must be a number of depth units a metre, not {scale!r}")
-    if not math.isfinite(scale) or scale <= 0:
-        raise FrameError(f"{where}depth_scale must be a positive number of depth units a metre, not {scale}")
+    if not _is_finite(scale) or scale <= 0:
+        raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units a metre")
+
+
+def _is_finite(value: float | np.integer[Any] | np.floating[Any]) -> bool:
+    """`math.isfinite`, which knows no integers beyond the range of floats."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def read_color(path: Path) -> NDArray[np.uint8]:
