@@ -68,22 +68,23 @@ class _Axes:
 
     def __init__(self) -> None:
         self._found: list[tuple[Array, int]] = []
+        self._implied: list[tuple[Array, int]] = []
 
     @property
     def continuous(self) -> int:
         return sum(order == 0 for _, order in self._found)
 
-    def knows(self, axis: Array) -> bool:
-        return any(abs(axis @ other) > _SAME_AXIS for other, _ in self._found)
-
     def add(self, axis: Array, surface: _Surface, hint: int | None = None) -> None:
         """Take an axis in if the surface turns about it; `hint` is the order to refine it by."""
-        if self.knows(axis):
+        known = self._implied if hint else self._found  # a principal axis may have a higher order than others imply
+        if _listed(axis, known):
             return
-        for trial in (surface.refined(axis, hint or 2), axis):
+        refined = surface.refined(axis, hint or 2)
+        for trial in (refined,) if hint else (refined, axis):  # a principal direction may be exact already
             order = surface.order(trial)
-            if order is not None and not self.knows(trial):
+            if order is not None and not _listed(trial, known):
                 self._found.append((trial, order))
+                self._implied = list(self._found) if self.continuous else _completed(self._found)
                 return
 
     def group(self) -> tuple[SymmetryAxis, ...]:
@@ -96,7 +97,11 @@ class _Axes:
             flip = across[0] - (across[0] @ spinning[0]) * spinning[0] if across else None
             axes = [(spinning[0], 0)] + ([(flip / np.linalg.norm(flip), 2)] if flip is not None else [])
             return tuple(_symmetry_axis(*item) for item in axes)
-        return tuple(_symmetry_axis(*item) for item in sorted(_completed(self._found), key=lambda item: -item[1]))
+        return tuple(_symmetry_axis(*item) for item in sorted(self._implied, key=lambda item: -item[1]))
+
+
+def _listed(axis: Array, axes: list[tuple[Array, int]]) -> bool:
+    return any(abs(axis @ other) > _SAME_AXIS for other, _ in axes)
 
 
 def _completed(found: list[tuple[Array, int]]) -> list[tuple[Array, int]]:
@@ -106,7 +111,9 @@ def _completed(found: list[tuple[Array, int]]) -> list[tuple[Array, int]]:
     for element in group:  # grows while it is walked
         for generator in generators:
             product = generator @ element
-            if len(group) < _LARGEST_GROUP and min(rotation_angle(product @ g.T) for g in group) > _SAME_TURN:
+            # The trace of product @ g.T is 1 + 2 cos of the angle between the two.
+            nearest = max(float((product * g).sum()) for g in group)
+            if len(group) < _LARGEST_GROUP and nearest < 1 + 2 * np.cos(_SAME_TURN):
                 group.append(product)
     out = list(found)
     for element in group[1:]:
@@ -190,7 +197,7 @@ class _Surface:
 
     def quick_miss(self, axis: Array, order: int) -> float:
         """Mean distance between a few turned points and the surface's samples: cheap, good for ranking only."""
-        distance, _ = self._tree.query(self._few @ so3_exp(2 * np.pi / order * axis).T)
+        distance, _ = self._tree.query(self._few[:100] @ so3_exp(2 * np.pi / order * axis).T)
         return float(np.mean(distance))
 
     def _miss(self, axis: Array, angle: float) -> float:
