@@ -150,11 +150,13 @@ def kabsch(
         that count, or all on one line). Such a transform is still rigid and still a minimiser, one of many.
 
     Raises:
-        GeometryError: shapes that do not fit, or weights that are negative or not finite.
+        GeometryError: shapes that do not fit, points that are not finite, or weights that are negative or not finite.
     """
     p, q = np.asarray(curr, dtype=np.float64), np.asarray(prev, dtype=np.float64)
     if p.shape != q.shape or p.ndim < 2 or p.shape[-1] != 3:
         raise GeometryError(f"kabsch needs two (..., N, 3) arrays of one shape, not {p.shape} and {q.shape}")
+    if not (np.isfinite(p).all() and np.isfinite(q).all()):
+        raise GeometryError("kabsch needs finite points: leave out those without depth")
     w = np.ones(p.shape[:-1]) if weights is None else np.asarray(weights, dtype=np.float64)
     if w.shape != p.shape[:-1] or not np.isfinite(w).all() or (w < 0).any():
         raise GeometryError(f"kabsch needs finite weights >= 0 of shape {p.shape[:-1]}")
