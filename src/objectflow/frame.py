@@ -80,8 +80,9 @@ class Camera:
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
+            # Multiply first: a quotient rounded up would carry a principal point on the border out of the image.
+            cx=(self.cx + 0.5) * width / self.width - 0.5,
+            cy=(self.cy + 0.5) * height / self.height - 0.5,
         )
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
@@ -120,10 +121,11 @@ class Camera:
         Raises:
             ReaderError: no such file, or not JSON.
             CameraError: values that are missing or make no camera.
+            FrameError: a depth scale that is no positive number.
         """
         path = Path(path)
         try:
-            values = json.loads(path.read_text())
+            values = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise ReaderError(f"{path}: no such camera file") from None
         except OSError as error:
@@ -184,9 +186,12 @@ class RgbdFrame:
                 f"{where}: the images are {color.shape[1]}x{color.shape[0]}, "
                 f"the camera is {self.camera.width}x{self.camera.height}"
             )
-        _check_depth_values(depth, where)
+        with np.errstate(over="ignore", under="ignore"):
+            metres = np.ascontiguousarray(depth, dtype=np.float32)
+        # After the cast: a double may be finite, and its float32 infinite or 0.
+        _check_depth_values(metres, where)
         object.__setattr__(self, "color", np.ascontiguousarray(color))
-        object.__setattr__(self, "depth", np.ascontiguousarray(depth, dtype=np.float32))
+        object.__setattr__(self, "depth", metres)
 
     @classmethod
     def read(
@@ -206,7 +211,8 @@ class RgbdFrame:
         """
         check_depth_scale(depth_scale)
         color_image, depth_image = read_color(Path(color)), read_depth(Path(depth))
-        metres = depth_image.astype(np.float32) / np.float32(depth_scale)
+        with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which the frame reports
+            metres = depth_image.astype(np.float32) / np.float32(depth_scale)
         return cls(color=color_image, depth=metres, camera=camera, timestamp=timestamp, name=str(depth))
 
     @property
@@ -215,18 +221,24 @@ class RgbdFrame:
         return self.depth > 0
 
     def resized(self, width: int, height: int) -> RgbdFrame:
-        """The frame at another resolution: colour by area, depth by nearest neighbour, so no edge is smeared."""
+        """The frame at another resolution: colour by area, depth by nearest neighbour, so no edge is smeared.
+
+        Raises:
+            CameraError: a size that is not whole and positive.
+            FrameError: none of the pixels that were measured is left.
+        """
+        camera = self.camera.scaled(width, height)
         if (width, height) == (self.camera.width, self.camera.height):
             return self
         shrink = width < self.camera.width
         color = cv2.resize(self.color, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
         # cv2's own nearest neighbour takes the top-left pixel of a block, half a block off; these are the centres.
-        rows = np.clip(((np.arange(height) + 0.5) * self.camera.height / height).astype(int), 0, None)
-        columns = np.clip(((np.arange(width) + 0.5) * self.camera.width / width).astype(int), 0, None)
+        rows = ((np.arange(height) + 0.5) * self.camera.height / height).astype(int)
+        columns = ((np.arange(width) + 0.5) * self.camera.width / width).astype(int)
         return RgbdFrame(
             color=color.astype(np.uint8, copy=False),
             depth=self.depth[rows[:, None], columns[None, :]],
-            camera=self.camera.scaled(width, height),
+            camera=camera,
             timestamp=self.timestamp,
             name=self.name,
         )
@@ -310,9 +322,11 @@ def _read_image(path: Path) -> NDArray[Any]:
         raise ReaderError(f"{path}: no such file") from None
     except OSError as error:
         raise ReaderError(f"{path}: cannot be read: {error.strerror}") from error
-    if data[:8] == b"\x89PNG\r\n\x1a\n" and b"IEND" not in data[-16:]:
-        # OpenCV fills the missing rows of a cut-off PNG with zeros and says nothing.
+    # Some versions of OpenCV fill the missing rows of a cut-off file and say nothing.
+    if data.startswith(b"\x89PNG\r\n\x1a\n") and b"IEND\xaeB`\x82" not in data:
         raise ReaderError(f"{path}: the PNG is cut off: copy the file again")
+    if data.startswith(b"\xff\xd8") and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+        raise ReaderError(f"{path}: the JPEG is cut off: copy the file again")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
