@@ -82,7 +82,7 @@ BAD_PAIRS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
     "no pair": (lambda pair: (pair / "color0.jpg").unlink(), [], "no color0.png"),
     "text as png": (text_as_png, [], "color1.png: not an image"),
     "truncated png": (half("depth1.png"), [], "depth1.png: the PNG is cut off"),
-    "truncated jpeg": (half("color1.jpg"), [], "color1.jpg: not an image"),
+    "truncated jpeg": (half("color1.jpg"), [], "color1.jpg: the JPEG is cut off"),
     "damaged png": (damaged, [], "depth1.png: not an image"),
     "8-bit depth": (eight_bits, [], "depth1.png: a depth image has 16 bits"),
     "zero depth": (all_zero, [], "depth1.png: depth is missing everywhere"),
