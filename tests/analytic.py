@@ -74,7 +74,7 @@ class Texture:
         else:
             inside = np.zeros(len(points), dtype=bool)
         rgb[inside] = 0.35 * rgb[inside] + 0.65 * self.colors[2]
-        return rgb
+        return np.asarray(rgb)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,13 +222,22 @@ def make_scene(
     """
     rng = np.random.default_rng(seed)
     still = camera_motion is None
-    curr_T_prev_camera = np.eye(4) if camera_motion is None else np.linalg.inv(camera_motion)
+    curr_T_prev_camera: Array = np.eye(4) if still else np.linalg.inv(np.asarray(camera_motion, np.float64))
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     plane = _draw_texture(rng, np.array([512, 512]), plane=True)
     light = _unit(np.array([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0]))
     count = int(rng.integers(objects[0], objects[1] + 1))
-    prev, curr, moved = _draw_layout(rng, count, motion, max_angle_deg, moving_share, curr_T_prev_camera, plane, light)
+    prev, curr, moved = _draw_layout(
+        rng,
+        count,
+        motion,
+        max_angle_deg,
+        moving_share,
+        curr_T_prev_camera=curr_T_prev_camera,
+        plane=plane,
+        light=light,
+    )
 
     curr_frame, labels, depth = _render(curr, camera, rng, depth_noise, "analytic curr")
     prev_frame, prev_labels, _ = _render(prev, camera, rng, depth_noise, "analytic prev")
@@ -236,7 +245,7 @@ def make_scene(
     prev_T_curr: dict[int, Array] = {}
     centers: dict[int, Array] = {}
     camera_prev_T_world, camera_curr_T_world = np.linalg.inv(prev.world_T_camera), np.linalg.inv(curr.world_T_camera)
-    world_motion = np.eye(4) if camera_motion is None else np.asarray(camera_motion, dtype=np.float64)
+    world_motion: Array = np.eye(4) if still else np.asarray(camera_motion, dtype=np.float64)
     for label, (a, b) in enumerate(zip(prev.world_T_object, curr.world_T_object, strict=True), start=1):
         turned = camera_prev_T_world @ a @ np.linalg.inv(b) @ curr.world_T_camera
         prev_T_curr[label] = turned if label in moved else world_motion
@@ -302,6 +311,7 @@ def _draw_layout(
     motion: tuple[float, float],
     max_angle_deg: float,
     moving_share: float,
+    *,
     curr_T_prev_camera: Array,
     plane: Texture,
     light: Array,
@@ -365,7 +375,7 @@ def _draw_rest(rng: Rng, solid: Solid) -> Array:
     """A pose on the plane: a box on a face, a sphere any way, a cylinder upright or lying."""
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix()
     if solid.kind == "sphere":
-        R = Rotation.random(rng=rng).as_matrix()
+        R = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     elif solid.kind == "cylinder" and rng.random() < 0.4:
         R = R @ Rotation.from_euler("x", np.pi / 2).as_matrix()
     out = np.eye(4)
@@ -413,7 +423,7 @@ def _apart(a: Solid, world_T_a: Array, b: Solid, world_T_b: Array, gap: float = 
 def _draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> Texture:
     """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
     noise = np.zeros(tuple(cells))
-    for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
+    for octave, weight in ((16, 0.7), (8, 0.8), (4, 0.8), (2, 0.5)):
         coarse = rng.standard_normal(tuple(cells // octave))
         noise += weight * ndimage.zoom(coarse, octave, order=1, mode="grid-wrap", grid_mode=True)
     low, high = np.percentile(noise, [5, 95])
