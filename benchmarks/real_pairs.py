@@ -106,6 +106,22 @@ def read_truth(folder: Path, curr: objectflow.RgbdFrame) -> Truth | None:
     return Truth(labels, motions, moving, names)
 
 
+def center_of(points: np.ndarray) -> np.ndarray:
+    """The point at which translations are compared: of a round thing its middle, else the median of what is seen.
+
+    The truth says nothing about the roll of a ball; its surface points move by the roll too, its middle does not.
+    """
+    median = np.median(points, axis=0).astype(np.float64)
+    near = points[np.linalg.norm(points - median, axis=1) < 0.05].astype(np.float64)
+    if len(near) < 0.8 * len(points):
+        return median
+    solution, *_ = np.linalg.lstsq(np.c_[2 * near, np.ones(len(near))], (near**2).sum(axis=1), rcond=None)
+    middle = solution[:3]
+    radius = float(np.sqrt(max(0.0, solution[3] + middle @ middle)))
+    misfit = np.sqrt(np.mean((np.linalg.norm(near - middle, axis=1) - radius) ** 2))
+    return middle if radius < 0.06 and misfit < 0.004 else median
+
+
 def overlap(mask: np.ndarray, truth: Truth) -> tuple[int, float]:
     """The true object that a mask covers best, and their IoU."""
     scores = {k: (mask & (truth.labels == k)).sum() / (mask | (truth.labels == k)).sum() for k in truth.names}
@@ -130,7 +146,7 @@ def describe_object(
     if iou == 0:
         return (*base, "none", "0", "", "")
     points = geometry.back_project(curr.depth, curr.camera)[(truth.labels == k) & curr.valid]
-    center = np.median(points, axis=0)
+    center = center_of(points)
     true = truth.prev_T_curr[k]
     turn = np.degrees(geometry.rotation_angle(obj.prev_T_curr[:3, :3] @ true[:3, :3].T))
     shift = np.linalg.norm(geometry.transform(obj.prev_T_curr, center) - geometry.transform(true, center)) * 1000

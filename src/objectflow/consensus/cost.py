@@ -20,6 +20,8 @@ COST_FLOATING = 6.0
 """The point would hang in front of what the previous frame saw there: it was not there."""
 COST_HIDDEN = 2.0
 """The point would have been hidden: possible, but a motion that shows it is better."""
+HIDDEN_AT = 2.0
+"""Sigmas behind the surface seen in the previous frame."""
 COST_UNSEEN = 1.0
 """Outside the previous image, or no depth there: says nothing for or against."""
 
@@ -86,9 +88,12 @@ def motion_cost(
     cost = 0.5 * np.minimum(scaled**2, 9)
     if looks is not None:
         cost = cost + _color_cost(*looks, u.astype(np.float32), v.astype(np.float32), box)
-    cost = np.where(scaled < -3, COST_FLOATING, np.where(scaled > 3, COST_HIDDEN + 1.0 * (scaled < 6), cost))
+    # Behind what was seen there: at two sigma being hidden costs as much as a bad measurement would, and from there on
+    # it is the better reading. Just behind is odder than far behind: it takes a thin thing, or a misfit.
+    hidden = known & (scaled > HIDDEN_AT)
+    cost = np.where(scaled < -3, COST_FLOATING, np.where(hidden, COST_HIDDEN + (scaled < 6), cost))
     cost = np.where(known, np.minimum(cost, COST_FLOATING), COST_UNSEEN).astype(np.float32)
-    return cost, known & (scaled > 3)
+    return cost, hidden
 
 
 def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats, box: Box) -> Floats:

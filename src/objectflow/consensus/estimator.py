@@ -127,8 +127,8 @@ class Consensus:
             source = rigid.make_source(curr, enlarge(mask, curr), limit=2000)
             if len(own.curr) >= 6:
                 start = _better_start(start, own, curr)
-            fit = rigid.refine(target, source, start, matches=own)
-            refined.append(Hypothesis(fit.prev_T_curr, stage.anchors(mask, fit.prev_T_curr), own, mask))
+            motion = rigid.refine(target, source, start, matches=own).prev_T_curr
+            refined.append(Hypothesis(motion, stage.anchors(mask, motion), own, mask))
             masks.append(mask)
         kept = verdict.prune(stage, masks, [h.prev_T_curr for h in refined])
         return [masks[k] for k in kept], [refined[k] for k in kept]
