@@ -26,10 +26,12 @@ def write_bytes(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(temporary, path)
         _fsync_folder(path.parent)
-    except OSError as error:
+    except BaseException as error:
         with suppress(OSError):
             temporary.unlink()
-        raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        if isinstance(error, OSError):
+            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
@@ -51,14 +53,14 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         StorageError: the disk refused.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise ResultError(f"{path} is a file, not a folder: name another output folder")
-    if path.is_dir() and not replace and any(path.iterdir()):
-        raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
     made_parents: list[Path] = []
     temporary: Path | None = None
     try:
-        made_parents = _make_parents(path.parent)
+        if path.exists() and not path.is_dir():
+            raise ResultError(f"{path} is a file, not a folder: name another output folder")
+        if path.is_dir() and not replace and any(path.iterdir()):
+            raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
+        _make_parents(path.parent, made_parents)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
         temporary.chmod(0o755)
         yield temporary
@@ -80,11 +82,14 @@ def _swap_in(temporary: Path, path: Path) -> None:
     """Rename `temporary` to `path`; an older folder there survives until the new one has its name."""
     if path.is_dir() and any(path.iterdir()):
         old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
-        os.rename(path, old)
         try:
+            os.rename(path, old)
             os.rename(temporary, path)
-        except OSError:
-            os.rename(old, path)
+        except BaseException:
+            if path.is_dir():
+                old.rmdir()  # still empty: the older folder never left its place
+            else:
+                os.rename(old, path)
             raise
         shutil.rmtree(old, ignore_errors=True)
     else:
@@ -92,16 +97,15 @@ def _swap_in(temporary: Path, path: Path) -> None:
     _fsync_folder(path.parent)
 
 
-def _make_parents(folder: Path) -> list[Path]:
-    """Make the missing parents of a folder and list them, outermost first."""
+def _make_parents(folder: Path, made: list[Path]) -> None:
+    """Make a folder and its missing parents; append each to `made`, so that the caller can undo a half-done job."""
     missing: list[Path] = []
     while not folder.exists():
         missing.append(folder)
         folder = folder.parent
-    missing.reverse()
-    for parent in missing:
+    for parent in reversed(missing):
         parent.mkdir()
-    return missing
+        made.append(parent)
 
 
 def _fsync_file(path: Path) -> None:

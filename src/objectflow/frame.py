@@ -285,7 +285,7 @@ def read_color(path: Path) -> NDArray[np.uint8]:
     Raises:
         ReaderError: the file is missing, broken, or looks like depth.
     """
-    image = _read_image(path)
+    image = read_image(path)
     if image.dtype != np.uint8:
         raise ReaderError(
             f"{path}: a colour image has 8 bits a channel, this has {image.dtype.itemsize * 8}: "
@@ -302,7 +302,7 @@ def read_depth(path: Path) -> NDArray[np.uint16]:
     Raises:
         ReaderError: the file is missing, broken, or is no 16-bit single-channel image.
     """
-    image = _read_image(path)
+    image = read_image(path)
     if image.ndim != 2:
         raise ReaderError(
             f"{path}: a depth image has one channel, this has {image.shape[2]}: are colour and depth swapped?"
@@ -315,7 +315,12 @@ def read_depth(path: Path) -> NDArray[np.uint16]:
     return np.asarray(image, dtype=np.uint16)
 
 
-def _read_image(path: Path) -> NDArray[Any]:
+def read_image(path: Path) -> NDArray[Any]:
+    """Read an image of any kind as OpenCV gives it: (H, W) or (H, W, 3 or 4), BGR.
+
+    Raises:
+        ReaderError: the file is missing, cut off or broken.
+    """
     try:
         data = path.read_bytes()
     except FileNotFoundError:

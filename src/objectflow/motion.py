@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tokenize
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import files, geometry
-from objectflow.errors import ResultError
+from objectflow.errors import ReaderError, ResultError
+from objectflow.frame import read_image
+
+# What broken JSON and .npy files make their parsers raise: numbers without end, brackets that never close, a header
+# that is no Python or asks for more memory than there is.
+_BROKEN = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    EOFError,
+    OverflowError,
+    RecursionError,
+    MemoryError,
+    SyntaxError,
+    tokenize.TokenError,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +107,8 @@ class SceneMotion:
                 f"scene_flow must be {(*self.labels.shape, 3)} float32, "
                 f"not {self.scene_flow.shape} {self.scene_flow.dtype}"
             )
+        if self.camera_motion is not None and self.camera_motion.shape != (4, 4):
+            raise ResultError(f"camera_motion must be a 4x4 transform, not {self.camera_motion.shape}")
         object.__setattr__(self, "objects", tuple(self.objects))
         ids = [obj.id for obj in self.objects]
         if sorted(set(ids)) != ids or (ids and ids[0] < 1):
@@ -136,15 +155,17 @@ class SceneMotion:
         """
         folder = Path(folder)
         try:
-            summary = json.loads((folder / "objects.json").read_text())
-            png = np.frombuffer((folder / "labels.png").read_bytes(), np.uint8)
-            labels = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
-            flow = np.load(folder / "scene_flow.npy", allow_pickle=False)
-            if labels is None:
-                raise ValueError("labels.png cannot be decoded")
+            summary = json.loads((folder / "objects.json").read_text(encoding="utf-8"))
+            labels = read_image(folder / "labels.png")
+            if labels.dtype.kind != "u":
+                raise ValueError("labels.png must hold whole numbers")
+            if labels.shape != (summary["height"], summary["width"]):
+                raise ValueError(f"labels.png has shape {labels.shape}, objects.json tells of another size")
+            with open(folder / "scene_flow.npy", "rb") as file:
+                flow = np.lib.format.read_array(file, allow_pickle=False)
             camera_motion = summary["camera_motion"]
             return cls(
-                labels=np.asarray(labels).astype(np.int32),
+                labels=labels.astype(np.int32),
                 scene_flow=flow,
                 objects=tuple(_object_from_dict(entry) for entry in summary["objects"]),
                 camera_motion=None if camera_motion is None else np.array(camera_motion, dtype=np.float64),
@@ -153,8 +174,11 @@ class SceneMotion:
             )
         except FileNotFoundError as error:
             raise ResultError(f"{folder}: not a result folder: {Path(error.filename).name} is missing") from None
-        except (OSError, ValueError, KeyError, TypeError, EOFError, AttributeError, cv2.error) as error:
+        except (ReaderError, ResultError) as error:
             raise ResultError(f"{folder}: not a result folder that can be read: {error}") from error
+        except _BROKEN as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+            raise ResultError(f"{folder}: not a result folder that can be read: {reason}") from error
 
 
 def _object_from_dict(entry: dict[str, Any]) -> ObjectMotion:
@@ -162,6 +186,8 @@ def _object_from_dict(entry: dict[str, Any]) -> ObjectMotion:
     center = np.array(entry["center"], dtype=np.float64)
     if prev_T_curr.shape != (4, 4) or center.shape != (3,):
         raise ValueError(f"object {entry['id']} has no 4x4 prev_T_curr or no center[3]")
+    if not (np.isfinite(prev_T_curr).all() and np.isfinite(center).all()):
+        raise ValueError(f"object {entry['id']} has a prev_T_curr or a center that is not finite")
     return ObjectMotion(
         id=int(entry["id"]),
         pixels=int(entry["pixels"]),
