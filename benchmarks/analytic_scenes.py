@@ -1,4 +1,4 @@
-"""Methods on analytic scenes with known motion, beside `dense-flow` and `zero`: `python benchmarks/analytic_scenes.py`.
+"""Methods on analytic scenes with known motion, beside `zero` and `dense-flow`: `benchmarks/analytic_scenes.py`.
 
 The scenes are the tests': 1-6 textured boxes, spheres and cylinders on a textured plane, moved by 2-6 cm and turned by
 up to 30 degrees, ray-cast by code that shares nothing with the methods.
@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 import objectflow
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-import analytic  # noqa: E402
+import analytic
 
 REFERENCES = ("zero", "dense-flow")
 
