@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -328,8 +329,8 @@ def read_image(path: Path) -> NDArray[Any]:
     except OSError as error:
         raise ReaderError(f"{path}: cannot be read: {error.strerror}") from error
     # Some versions of OpenCV fill the missing rows of a cut-off file and say nothing.
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and b"IEND\xaeB`\x82" not in data:
-        raise ReaderError(f"{path}: the PNG is cut off: copy the file again")
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        _check_png(data, path)
     if data.startswith(b"\xff\xd8") and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
         raise ReaderError(f"{path}: the JPEG is cut off: copy the file again")
     try:
@@ -341,6 +342,21 @@ def read_image(path: Path) -> NDArray[Any]:
     if image.ndim == 3 and image.shape[2] not in (3, 4):
         raise ReaderError(f"{path}: an image with {image.shape[2]} channels is neither colour nor depth")
     return np.asarray(image)
+
+
+def _check_png(data: bytes, path: Path) -> None:
+    """Walk a PNG's chunks: OpenCV believes a damaged length and fills gigabytes before it finds out."""
+    at = 8
+    while at + 12 <= len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        if end > len(data):
+            break
+        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            raise ReaderError(f"{path}: not an image that can be decoded: the PNG is damaged: copy the file again")
+        if data[at + 4 : at + 8] == b"IEND":
+            return
+        at = end
+    raise ReaderError(f"{path}: the PNG is cut off: copy the file again")
 
 
 def _check_depth_values(depth: NDArray[np.floating[Any]], where: str) -> None:
