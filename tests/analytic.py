@@ -423,7 +423,7 @@ def _apart(a: Solid, world_T_a: Array, b: Solid, world_T_b: Array, gap: float = 
 def _draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> Texture:
     """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
     noise = np.zeros(tuple(cells))
-    for octave, weight in ((16, 0.7), (8, 0.8), (4, 0.8), (2, 0.5)):
+    for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
         coarse = rng.standard_normal(tuple(cells // octave))
         noise += weight * ndimage.zoom(coarse, octave, order=1, mode="grid-wrap", grid_mode=True)
     low, high = np.percentile(noise, [5, 95])
