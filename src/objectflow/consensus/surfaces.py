@@ -12,9 +12,10 @@ from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from objectflow import geometry, rigid
+from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.noise import depth_sigma
+from objectflow.normals import surface_normals
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
@@ -31,7 +32,7 @@ class PixelGraph:
         self.shape = depth.shape
         index = np.arange(depth.size).reshape(depth.shape)
         points = geometry.back_project(depth, frame.camera)
-        normals = rigid.surface_normals(cv2.medianBlur(depth, 5), frame.camera)
+        normals = surface_normals(cv2.medianBlur(depth, 5), frame.camera)
         color = cv2.GaussianBlur(frame.color, (0, 0), 0.7).astype(np.float32)
         heads, tails, ties, steps = [], [], [], []
         for here, there in (
