@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+import weakref
 from typing import Any
 
 import numpy as np
@@ -298,6 +300,19 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
     finally:
         warp.config.log_level = level
     assert list(renderer._kernels.values())[: len(kernels)] == kernels
+
+
+def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
+    """Without a walk through all that Python holds, which comes too late: a model's megabytes are not Python's."""
+    model = cube_scene(0.05)
+    watch = weakref.ref(model)
+    gc.disable()
+    try:
+        renderer.render(model, poses((0, 0, 0.05)), look_at((0, -0.5, 0.5), (0, 0, 0))[None])
+        del model
+        assert watch() is None
+    finally:
+        gc.enable()
 
 
 def test_bad_input(renderer: Renderer) -> None:

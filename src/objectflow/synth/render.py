@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import sys
 from collections.abc import Iterator
@@ -87,7 +88,7 @@ class Renderer:
                 f"it needs {expected} and {(cameras, 4, 4)}"
             )
         placement = Placement.of(model, numbers, world_T_objects, world_T_cameras)
-        with self._warp.ScopedDevice(self._device):
+        with _cycles_freed(), self._warp.ScopedDevice(self._device):
             color, depth, geoms = self._trace(model, placement)
         shape = (frames, cameras, self._height, self._width)
         # Geom -1, nothing hit, finds the 0 that is appended.
@@ -182,6 +183,24 @@ def _find_device(warp: ModuleType, device: str) -> Any:
     if device == "cuda" and not warp.is_cuda_available():
         raise ObjectflowError("no CUDA device is found for rendering: choose --device cpu")
     return warp.get_device("cuda:0" if device == "cuda" else "cpu")
+
+
+@contextmanager
+def _cycles_freed() -> Iterator[None]:
+    """Free at once what refers to itself.
+
+    `put_model` leaves functions behind that refer to each other and to the model. Python frees them only when it next
+    goes through everything there is, hundreds of scenes later, and does not know how many megabytes a model holds.
+    What is made here stays young as long as nothing is collected meanwhile, and going through the young is quick.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.collect(0)
+        if enabled:
+            gc.enable()
 
 
 @contextmanager
