@@ -1,0 +1,120 @@
+"""Intervals of means, ratios and medians by resampling scenes (Efron 1979, percentile form)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
+
+from objectflow.errors import DatasetError
+
+Array = NDArray[np.float64]
+
+DRAWS = 1000
+COVERAGE = 0.95
+_BLOCK = 1 << 22
+"""Weights held at once: 32 MB whatever the size of the set."""
+
+
+class Interval(NamedTuple):
+    """A statistic of a set and its bootstrap interval; NaN where there is nothing to take it of."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Bootstrap:
+    """Resamples of a set, the same for every statistic.
+
+    Whole scenes are drawn, since pairs of one scene are no independent samples.
+    """
+
+    def __init__(self, scenes: Sequence[str], rng: Generator, draws: int = DRAWS) -> None:
+        """Number the scenes and draw a seed.
+
+        Args:
+            scenes: the scene of every pair.
+            rng: drawn from once, here.
+            draws: how many resamples.
+
+        Raises:
+            DatasetError: no pairs.
+        """
+        if len(scenes) == 0:
+            raise DatasetError("no pairs were scored: there is nothing to average")
+        numbers = {name: index for index, name in enumerate(dict.fromkeys(scenes))}
+        self._scene = np.array([numbers[name] for name in scenes])
+        self._seed = int(rng.integers(1 << 62))
+        self._draws = draws
+
+    def mean(self, values: ArrayLike) -> Interval:
+        """Of one value a pair; NaN leaves a pair out."""
+        x = np.asarray(values, dtype=np.float64)
+        there = np.isfinite(x)
+        return self.ratio(np.where(there, x, 0), there)
+
+    def ratio(self, numerators: ArrayLike, denominators: ArrayLike) -> Interval:
+        """Of two sums over pairs."""
+        sums = np.stack([np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)], axis=1)
+        return _interval(_divide(*sums.sum(0)), np.concatenate([_divide(*(w @ sums).T) for w in self._weights()]))
+
+    def harmonic(self, precisions: ArrayLike, recalls: ArrayLike) -> Interval:
+        """The harmonic mean of two means over pairs."""
+        sums = np.stack([np.asarray(precisions, np.float64), np.asarray(recalls, np.float64)], axis=1)
+        count = len(self._scene)
+
+        def of(P: Array, R: Array) -> Array:
+            return np.where(P + R > 0, _divide(2 * P * R, P + R), 0.0)
+
+        return _interval(
+            of(*(sums.sum(0) / count)),
+            np.concatenate([of(*(w @ sums / w.sum(1)[:, None]).T) for w in self._weights()]),
+        )
+
+    def median(self, values: ArrayLike, pairs: ArrayLike | None = None) -> Interval:
+        """Of values of which pair `pairs[i]` brought the i-th; of one value a pair where None. NaN is left out."""
+        x = np.asarray(values, dtype=np.float64)
+        owner = np.arange(len(x)) if pairs is None else np.asarray(pairs, dtype=np.int64)
+        there = np.isfinite(x)
+        order = np.argsort(x[there], kind="stable")
+        x, owner = x[there][order], owner[there][order]
+        if len(x) == 0:
+            return _interval(np.array(np.nan), np.array([]))
+        draws = np.concatenate([_weighted_median(x, w[:, owner]) for w in self._weights(len(x))])
+        return _interval(np.asarray(np.median(x)), draws)
+
+    def _weights(self, width: int = 1) -> Iterator[Array]:
+        """How often each pair is in each resample, (some draws, pairs), in blocks; the same at every call."""
+        scene = self._scene
+        rng = np.random.default_rng(self._seed)
+        count = int(scene.max()) + 1
+        block = max(1, _BLOCK // max(len(scene), width))
+        for start in range(0, self._draws, block):
+            size = min(block, self._draws - start)
+            yield rng.multinomial(count, np.full(count, 1 / count), size=size).astype(np.float64)[:, scene]
+
+
+def _divide(numerator: Array, denominator: Array) -> Array:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(np.where(np.asarray(denominator) > 0, numerator / denominator, np.nan))
+
+
+def _weighted_median(x: Array, weights: Array) -> Array:
+    """The median of rising values x (N,), each repeated weights[d, n] times, for every draw d; NaN where none is."""
+    rising = np.cumsum(weights, axis=1)
+    half = rising[:, -1:] / 2
+    lower = np.minimum((rising < half).sum(1), len(x) - 1)
+    upper = np.minimum((rising <= half).sum(1), len(x) - 1)
+    return np.asarray(np.where(half[:, 0] > 0, (x[lower] + x[upper]) / 2, np.nan))
+
+
+def _interval(value: Array, draws: Array) -> Interval:
+    draws = draws[np.isfinite(draws)]
+    if len(draws) == 0 or not np.isfinite(value):
+        return Interval(float(value), float("nan"), float("nan"))
+    low, high = np.quantile(draws, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    return Interval(float(value), float(low), float(high))

@@ -1,0 +1,107 @@
+"""End point error and average angular error of scene flow, of one image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import ResultError
+
+THRESHOLDS_CM = (1.0, 5.0, 10.0)
+"""Shares of pixels with a smaller end point error are reported."""
+
+_NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class PixelScore:
+    """The flow on one set of an image's pixels.
+
+    Attributes:
+        epe_cm: mean L2 of the 3D difference; NaN where no pixel has both truth and prediction.
+        aae_deg: mean angle between (u, v, w, 1) of prediction and truth in metres; NaN likewise.
+        pixels: that have truth.
+        predicted: of these, that have a prediction as well. `predicted / pixels` is a sparse method's density.
+        under: of these, with an end point error below each of `THRESHOLDS_CM`. Shares are taken of `pixels`, so
+            that leaving a pixel out counts as missing it.
+    """
+
+    epe_cm: float
+    aae_deg: float
+    pixels: int
+    predicted: int
+    under: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class FlowScore:
+    """The flow of one image: on every pixel with depth, on objects seen in both frames, on those that move."""
+
+    all: PixelScore
+    masked: PixelScore
+    moving: PixelScore
+
+
+def score_flow(
+    predicted: NDArray[np.float32], true: NDArray[np.float32], masked: NDArray[np.bool_], moving: NDArray[np.bool_]
+) -> FlowScore:
+    """Score the scene flow of one image.
+
+    Args:
+        predicted, true: (H, W, 3) metres, NaN where there is none.
+        masked: (H, W) pixels of objects that are visible in both frames.
+        moving: (H, W) those of them whose object moves.
+
+    Raises:
+        ResultError: shapes that do not fit.
+    """
+    if predicted.shape != true.shape or true.ndim != 3 or true.shape[2] != 3:
+        raise ResultError(f"predicted flow {predicted.shape} does not fit true flow {true.shape}")
+    if masked.shape != true.shape[:2] or moving.shape != true.shape[:2]:
+        raise ResultError(f"masks {masked.shape} and {moving.shape} do not fit flow {true.shape}")
+    known = _finite(true)
+    there = known & _finite(predicted)
+    a, b = predicted[there].astype(np.float64).T, true[there].astype(np.float64).T
+    epe = end_point_errors(a, b)
+    aae = angular_errors(a, b)
+    everything, some = np.ones(len(epe), np.bool_), masked & known
+    return FlowScore(
+        all=_pixel_score(epe, aae, everything, int(known.sum())),
+        masked=_pixel_score(epe, aae, some[there], int(some.sum())),
+        moving=_pixel_score(epe, aae, (some & moving)[there], int((some & moving).sum())),
+    )
+
+
+def end_point_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
+    """L2 distance of two (3, N) flows, in cm; inputs in metres."""
+    du, dv, dw = predicted - true
+    return np.asarray(100 * np.sqrt(du * du + dv * dv + dw * dw))
+
+
+def angular_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle in degrees between (u, v, w, 1) of two (3, N) flows in metres.
+
+    As the arctangent of sine over cosine, since an arccosine loses small angles: the square of |a||b| sin is the sum
+    of squares of the 2x2 minors, |p - t|^2 for the three with the ones and |p x t|^2 for the others.
+    """
+    (u, v, w), (x, y, z) = predicted, true
+    minors = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+    minors += (v * z - w * y) ** 2 + (w * x - u * z) ** 2 + (u * y - v * x) ** 2
+    return np.asarray(np.degrees(np.arctan2(np.sqrt(minors), u * x + v * y + w * z + 1)))
+
+
+def _finite(flow: NDArray[np.float32]) -> NDArray[np.bool_]:
+    finite = np.isfinite(flow)
+    return np.asarray(finite[..., 0] & finite[..., 1] & finite[..., 2])
+
+
+def _pixel_score(
+    epe: NDArray[np.float64], aae: NDArray[np.float64], pick: NDArray[np.bool_], pixels: int
+) -> PixelScore:
+    epe, aae = epe[pick], aae[pick]
+    under = tuple(int((epe < limit).sum()) for limit in THRESHOLDS_CM)
+    if len(epe) == 0:
+        return PixelScore(_NAN, _NAN, pixels, 0, under)
+    return PixelScore(float(epe.mean()), float(aae.mean()), pixels, len(epe), under)

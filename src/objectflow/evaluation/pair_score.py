@@ -1,0 +1,51 @@
+"""All metrics of one pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from objectflow.evaluation.flow_metrics import FlowScore, score_flow
+from objectflow.evaluation.object_metrics import ObjectError, score_objects
+from objectflow.evaluation.segmentation_metrics import SegmentationScore, score_segmentation
+from objectflow.evaluation.truth import PairTruth
+from objectflow.motion import SceneMotion
+
+
+@dataclass(frozen=True)
+class PairScore:
+    """What one method's result on one pair is worth.
+
+    Attributes:
+        key, scene: of the pair.
+        flow, segmentation: the image's scores.
+        objects: of the matched objects.
+        seconds: what the estimate took.
+    """
+
+    key: str
+    scene: str
+    flow: FlowScore
+    segmentation: SegmentationScore
+    objects: tuple[ObjectError, ...]
+    seconds: float
+
+
+def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
+    """Score one result.
+
+    Raises:
+        ResultError: it is of another size than the truth.
+    """
+    segmentation = score_segmentation(truth.labels, predicted.labels)
+    moves = np.zeros(int(truth.labels.max(initial=0)) + 1, np.bool_)
+    moves[list(truth.moving)] = True
+    return PairScore(
+        key=truth.key,
+        scene=truth.scene,
+        flow=score_flow(predicted.scene_flow, truth.scene_flow, truth.masked, moves[truth.labels]),
+        segmentation=segmentation,
+        objects=score_objects(predicted.objects, truth, segmentation.matches),
+        seconds=predicted.seconds,
+    )
