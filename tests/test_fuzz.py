@@ -207,6 +207,7 @@ def test_result_folders_with_one_random_value(result: Path, name: str, inner: st
     (result / "objects.json").write_text(whole)
 
 
+@pytest.mark.filterwarnings("ignore")  # the header is read as a Python literal, which may have odd escapes
 @given(st.binary(max_size=60), st.floats(0, 1))
 @fuzz
 def test_flow_files_with_a_torn_header(result: Path, junk: bytes, where: float) -> None:

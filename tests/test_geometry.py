@@ -98,7 +98,7 @@ def test_se3_exp_agrees_with_the_matrix_exponential(angle: float) -> None:
     rho = np.random.default_rng(1).normal(size=(len(AXES), 3))
     twists = np.concatenate([rho, angle * AXES], axis=-1)
     expected = np.stack([expm(twist_matrix(twist)) for twist in twists])
-    np.testing.assert_allclose(geometry.se3_exp(twists), expected, atol=1e-10)
+    np.testing.assert_allclose(geometry.se3_exp(twists), expected, rtol=1e-13, atol=1e-13)
 
 
 @pytest.mark.parametrize("angle", ANGLES)

@@ -13,7 +13,7 @@ from objectflow import torch_geometry as tg
 from objectflow.errors import GeometryError
 
 CAMERA = Camera(width=9, height=7, fx=10.0, fy=11.0, cx=4.2, cy=2.9)
-ANGLES = [0.0, 1e-12, 1e-6, 1e-3, 0.1, 0.499, 0.501, 1.5, 3.0, np.pi - 1e-3]
+ANGLES = [0.0, 1e-12, 1e-6, 1.9e-4, 2.1e-4, 1e-3, 0.1, 0.499, 0.501, 1.5, 3.0, np.pi - 1e-3]
 
 
 def randn(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:

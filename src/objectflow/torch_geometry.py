@@ -41,11 +41,11 @@ def so3_log(rotation: Tensor) -> Tensor:
     q = _quaternion(rotation)
     scalar, vector = q[..., :1], q[..., 1:]
     sine2 = vector.square().sum(-1, keepdim=True)
-    small = sine2 < 1e-6
+    small = sine2 < 1e-8
     sine = torch.where(small, 1.0, sine2).sqrt()
     # angle / sine with tan(angle / 2) = sine / scalar; no root of 0, whose gradient is infinite.
     ratio2 = sine2 / torch.where(small, scalar, 1.0).square()
-    series = 2 / torch.where(small, scalar, 1.0) * (1 - ratio2 / 3 + ratio2.square() / 5)
+    series = 2 / torch.where(small, scalar, 1.0) * (1 - ratio2 / 3)
     return torch.where(small, series, 2 * torch.atan2(sine, scalar) / sine) * vector
 
 
