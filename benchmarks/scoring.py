@@ -1,0 +1,123 @@
+"""Pairs a second that all metrics together score on one core: `OMP_NUM_THREADS=1 python benchmarks/scoring.py`.
+
+Truth: balls of known motion on a plane, every second one with symmetry axes. Predictions: the same, moved by a few
+pixels, with noise on the flow. `read` includes reading a prediction back from its compressed file, as `evaluate` does.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from objectflow import Camera, ObjectMotion, RgbdFrame, SceneMotion, geometry
+from objectflow.evaluation.flow_metrics import score_flow
+from objectflow.evaluation.object_metrics import score_objects
+from objectflow.evaluation.pair_score import score_pair
+from objectflow.evaluation.runtime import machine_name
+from objectflow.evaluation.segmentation_metrics import score_segmentation
+from objectflow.evaluation.truth import PairTruth, TrueObject, make_truth
+
+
+@dataclasses.dataclass
+class Settings:
+    """Times the metrics."""
+
+    width: int = 320
+    """Image width; the height is three quarters of it."""
+    objects: tuple[int, ...] = (2, 6, 12, 24)
+    """Objects in a pair, one row each."""
+    pairs: int = 20
+    """Different pairs for each row."""
+    repeats: int = 3
+    """The fastest counts."""
+
+
+def make_pair(width: int, objects: int, rng: np.random.Generator) -> tuple[SceneMotion, PairTruth]:
+    """A truth, and a prediction that is a few pixels and centimetres off."""
+    height = width * 3 // 4
+    camera = Camera(width=width, height=height, fx=0.9 * width, fy=0.9 * width, cx=width / 2, cy=height / 2)
+    rows, columns = np.mgrid[:height, :width]
+    labels = np.zeros((height, width), np.int32)
+    motions = geometry.se3_exp(rng.normal(0, 0.1, size=(objects, 6)))
+    for label in range(1, objects + 1):
+        row, column, radius = rng.uniform(0, height), rng.uniform(0, width), rng.uniform(0.05, 0.15) * width
+        labels[(rows - row) ** 2 + (columns - column) ** 2 < radius**2] = label
+    depth = np.full((height, width), 0.9, np.float32)
+    depth[rng.random((height, width)) < 0.05] = 0
+    frame = RgbdFrame(color=np.zeros((height, width, 3), np.uint8), depth=depth, camera=camera)
+    axes = {0: ((), ()), 1: (np.eye(3), (4, 2, 2))}
+    true = [
+        TrueObject(k + 1, np.array([0, 0, 0.9]), T, np.array(axes[k % 2][0]).reshape(-1, 3), axes[k % 2][1], True)
+        for k, T in enumerate(motions)
+    ]
+    truth = make_truth("pair", frame, labels, true)
+    guess = np.roll(labels, rng.integers(-4, 5, size=2), axis=(0, 1))
+    noise = rng.normal(0, 0.02, size=(height, width, 3)).astype(np.float32)
+    found = tuple(
+        ObjectMotion(k + 1, int((guess == k + 1).sum()), 1.0, True, np.array([0, 0, 0.9]), T)
+        for k, T in enumerate(geometry.se3_exp(rng.normal(0, 0.02, size=(objects, 6))) @ motions)
+    )
+    return SceneMotion(guess, truth.scene_flow + noise, found), truth
+
+
+def best(run: Callable[[], object], repeats: int) -> float:
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        run()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
+
+
+def main(settings: Settings) -> None:
+    rng = np.random.default_rng(0)
+    threads = os.environ.get("OMP_NUM_THREADS", "all")
+    size = f"{settings.width}x{settings.width * 3 // 4}"
+    table = Table(title=f"Scoring {size}, pairs/s ({machine_name()}, {threads} thread(s))")
+    for column in ("objects", "flow", "segmentation", "objects' motions", "all metrics", "with read"):
+        table.add_column(column, justify="right")
+    for count in settings.objects:
+        pairs = [make_pair(settings.width, count, rng) for _ in range(settings.pairs)]
+        matches = [score_segmentation(truth.labels, guess.labels).matches for guess, truth in pairs]
+        with tempfile.TemporaryDirectory() as folder:
+            for k, (guess, _) in enumerate(pairs):
+                np.savez_compressed(Path(folder) / f"{k}.npz", labels=guess.labels, flow=guess.scene_flow)
+            seconds = [
+                best(run, settings.repeats)
+                for run in (
+                    lambda pairs=pairs: [
+                        score_flow(guess.scene_flow, truth.scene_flow, truth.masked, truth.masked)
+                        for guess, truth in pairs
+                    ],
+                    lambda pairs=pairs: [score_segmentation(truth.labels, guess.labels) for guess, truth in pairs],
+                    lambda pairs=pairs, matches=matches: [
+                        score_objects(guess.objects, truth, found)
+                        for (guess, truth), found in zip(pairs, matches, strict=True)
+                    ],
+                    lambda pairs=pairs: [score_pair(guess, truth) for guess, truth in pairs],
+                    lambda pairs=pairs, folder=folder: [
+                        score_pair(read(Path(folder) / f"{k}.npz", guess.objects), truth)
+                        for k, (guess, truth) in enumerate(pairs)
+                    ],
+                )
+            ]
+        table.add_row(str(count), *(f"{len(pairs) / value:.0f}" for value in seconds))
+    Console().print(table)
+
+
+def read(path: Path, objects: tuple[ObjectMotion, ...]) -> SceneMotion:
+    with np.load(path) as cached:
+        return SceneMotion(cached["labels"], cached["flow"], objects)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
