@@ -1,0 +1,8 @@
+"""The paper's networks as pure torch modules: no data set, no NumPy, no files but pretrained backbones."""
+
+from objectflow.networks.backbone import load_backbone
+from objectflow.networks.outputs import DenseMotion, scene_flow
+from objectflow.networks.sceneflownet import SceneFlowNet
+from objectflow.networks.settings import NetworkSettings
+
+__all__ = ["DenseMotion", "NetworkSettings", "SceneFlowNet", "load_backbone", "scene_flow"]

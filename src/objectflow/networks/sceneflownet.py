@@ -1,0 +1,149 @@
+"""The network of the paper (figure 2): encoders, correlation, weighted max-pool, hourglass, heads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+from torch import Tensor, nn
+
+from objectflow.errors import MethodError
+from objectflow.networks.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
+from objectflow.networks.correlation import correlate, weighted_max_pool
+from objectflow.networks.decoder import Heads, Hourglass
+from objectflow.networks.outputs import DenseMotion
+from objectflow.networks.settings import NetworkSettings
+
+_STRIDE = 8
+"""Of the encoders; images are padded to a multiple of it and the maps cropped back."""
+
+
+class SceneFlowNet(nn.Module):
+    """Two RGB-D frames -> dense maps of rigid motions: OurC, or OurS without `settings.correlation`.
+
+    Missing depth is an input of its own: points become 0 there, beside a fourth channel that is 1 where depth is.
+    """
+
+    def __init__(self, settings: NetworkSettings | None = None, *, generator: torch.Generator | None = None) -> None:
+        """Random weights.
+
+        Args:
+            settings: widths and depths; the paper's when None.
+            generator: of the random numbers; torch's global one when None.
+        """
+        super().__init__()
+        self.settings = settings or NetworkSettings()
+        shape_channels = self.settings.shape_stages[-1][-1]
+        if self.settings.correlation:
+            self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
+            self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
+            self.hourglass = Hourglass(3 * shape_channels, self.settings)
+        else:
+            self.color_encoder = None
+            self.shape_encoder = shape_encoder(2 * (3 + 4), self.settings.shape_stages)
+            self.hourglass = Hourglass(shape_channels, self.settings)
+        self.heads = Heads(self.hourglass.channels)
+        _initialise(self, generator)
+
+    def load_backbone(self, path: str | Path) -> None:
+        """Start the colour encoder from torchvision's `resnet50` weights; see `backbone.load_backbone`.
+
+        Raises:
+            MethodError: a file that does not fit, or a network without a colour encoder (OurS).
+        """
+        if self.color_encoder is None:
+            raise MethodError(f"{path}: the simple network has no colour trunk: leave backbone weights out")
+        load_backbone(self.color_encoder.trunk, path)
+
+    def forward(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> DenseMotion:
+        """Predict the motion from the current back to the previous frame.
+
+        Args:
+            prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
+            prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
+
+        Returns:
+            Maps at (H, W), whatever H and W are.
+        """
+        height, width = curr_color.shape[-2:]
+        prev_shape, curr_shape = _with_validity(prev_points), _with_validity(curr_points)
+        images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
+        features = self._encode(*images)
+        maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features))))
+        # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
+        return maps._replace(center=maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:]))
+
+    def _encode(self, prev_color: Tensor, prev_shape: Tensor, curr_color: Tensor, curr_shape: Tensor) -> Tensor:
+        """Features at stride 8 for the hourglass."""
+        if self.color_encoder is None:
+            out: Tensor = self.shape_encoder(torch.cat([curr_color, prev_color, curr_shape, prev_shape], dim=1))
+            return out
+        # Siamese: both frames in one batch.
+        curr_look, prev_look = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
+        curr_form, prev_form = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
+        reach = self.settings.reach
+        weights = torch.relu(correlate(curr_look, prev_look, reach))
+        if self.settings.correlation_mean:
+            weights = weights / curr_look.shape[1]
+        matched_form = weighted_max_pool(weights, prev_form, reach)
+        return torch.cat([curr_form, prev_form, matched_form], dim=1)
+
+
+def _with_validity(points: Tensor) -> Tensor:
+    """(B, 3, H, W) with NaN -> (B, 4, H, W): points with 0 for NaN, and 1 where there is a point."""
+    valid = torch.isfinite(points).all(dim=1, keepdim=True)
+    return torch.cat([torch.where(valid, points, torch.zeros_like(points)), valid.to(points.dtype)], dim=1)
+
+
+def _pad(image: Tensor) -> Tensor:
+    """Zeros at the right and the bottom, up to multiples of the stride."""
+    height, width = image.shape[-2:]
+    return F.pad(image, (0, -width % _STRIDE, 0, -height % _STRIDE))
+
+
+def fill_holes(points: Tensor, valid: Tensor) -> Tensor:
+    """Give pixels without depth the mean of the points around them, from the smallest block that has any.
+
+    Args:
+        points: (B, 3, H, W) metres, 0 where not valid.
+        valid: (B, 1, H, W), 1 or 0.
+
+    Returns:
+        (B, 3, H, W): valid points unchanged; 0 where the whole image has none.
+    """
+    height, width = valid.shape[-2:]
+    filled, known = points, valid
+    block = 2
+    while block < 2 * max(height, width):
+        pad = (0, -width % block, 0, -height % block)
+        count = F.avg_pool2d(F.pad(valid, pad), block)
+        mean = F.avg_pool2d(F.pad(points, pad), block) / count.clamp_min(torch.finfo(count.dtype).tiny)
+        some = (count > 0).to(count.dtype)
+        mean, some = (F.interpolate(x, scale_factor=block)[..., :height, :width] for x in (mean, some))
+        filled = filled + (1 - known) * mean
+        known = torch.maximum(known, some)
+        block *= 2
+    return filled
+
+
+def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
+    """He et al. 2015 for rectified layers; heads near 0, so that training starts from 'nothing moves'."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+            fan_in = module.weight[0].numel() if isinstance(module, nn.Conv2d) else module.weight[:, 0].numel() // 4
+            with torch.no_grad():
+                module.weight.normal_(0, math.sqrt(2 / fan_in), generator=generator)
+                if module.bias is not None:
+                    module.bias.zero_()
+    with torch.no_grad():
+        for module in network.modules():
+            if isinstance(module, Heads):
+                for parameter in module.parameters():
+                    parameter.mul_(0.01)
+            elif isinstance(module, Bottleneck):
+                module.bn3.weight.zero_()  # every block starts as its shortcut (Goyal et al. 2017)
+            elif isinstance(module, ColorEncoder) and not module.mean_correlation:
+                # A sum over channels: without this, matched features would start hundreds of times the others.
+                module.project.weight.div_(math.sqrt(2 * module.project.out_channels))

@@ -1,0 +1,116 @@
+"""What a network is made of: widths and depths, the paper's as defaults, with a JSON form."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from objectflow.errors import MethodError
+
+Widths = tuple[int, ...]
+Stages = tuple[Widths, ...]
+
+
+@dataclass(frozen=True)
+class NetworkSettings:
+    """Widths and depths of `SceneFlowNet`; the defaults are the paper's OurC at any input size.
+
+    Raises:
+        MethodError: a value that no network can be built from.
+    """
+
+    correlation: bool = True
+    """False is OurS: one encoder for the four images, no correlation, no max-pool."""
+    trunk_width: int = 64
+    """Channels of the colour trunk's first layer; 64 is ResNet-50, which a pretrained file needs."""
+    trunk_blocks: tuple[int, int] = (3, 4)
+    """Bottlenecks at stride 4 and at stride 8; (3, 4) is ResNet-50."""
+    trunk_norm: Literal["batch", "frozen"] = "batch"
+    """Batch normalisation by the batch's statistics, or always by the stored ones: then every pair is on its own."""
+    color_channels: int = 256
+    """Channels of the colour features that are correlated."""
+    shape_stages: Stages = ((16, 16, 16), (16, 16, 32), (32, 32, 64))
+    """3x3 layers of the XYZ encoder; the last of each stage halves the size. Three stages: stride 8."""
+    reach: int = 10
+    """L of the paper: the correlation's patch has (2 L + 1)^2 cells of stride 8."""
+    correlation_mean: bool = False
+    """Divide the correlation by the number of channels; the paper sums."""
+    down: Stages = ((64, 64), (128, 128, 128), (256, 256, 256), (512, 512, 512))
+    """Layers of the hourglass on its way down; the first of every stage but the first is 5x5 and halves the size."""
+    up: Stages = ((256, 512, 256), (128, 128, 128), (64, 128, 64))
+    """Layers on its way up; the first of a stage doubles the size and receives the skip link."""
+    fine: Stages = ((64, 64, 64, 64), (64, 64, 64, 64), (64, 64, 64))
+    """Layers from stride 8 to the input's resolution; the first of a stage doubles the size. Three stages."""
+
+    def __post_init__(self) -> None:
+        for name in ("trunk_width", "color_channels"):
+            if getattr(self, name) < 1:
+                raise MethodError(f"network setting {name} must be at least 1, not {getattr(self, name)}")
+        if self.reach < 0:
+            raise MethodError(f"network setting reach must be at least 0, not {self.reach}")
+        if len(self.trunk_blocks) != 2 or min(self.trunk_blocks) < 1:
+            raise MethodError(f"network setting trunk_blocks needs two numbers from 1, not {self.trunk_blocks}")
+        if self.trunk_norm not in ("batch", "frozen"):
+            raise MethodError(f"network setting trunk_norm must be batch or frozen, not {self.trunk_norm!r}")
+        for name, count in (("shape_stages", 3), ("fine", 3), ("down", None), ("up", len(self.down) - 1)):
+            stages: Stages = getattr(self, name)
+            if not stages or (count is not None and len(stages) != count):
+                raise MethodError(f"network setting {name} needs {count or 'some'} stages, not {len(stages)}")
+            if any(not stage or min(stage) < 1 for stage in stages):
+                raise MethodError(f"network setting {name} has a stage without layers or a layer without channels")
+
+    def scaled(self, factor: float) -> NetworkSettings:
+        """The same network with all widths times `factor`, as multiples of 8 and at least 8."""
+
+        def scale(width: int) -> int:
+            return max(8, 8 * round(width * factor / 8))
+
+        def scale_all(stages: Stages) -> Stages:
+            return tuple(tuple(scale(width) for width in stage) for stage in stages)
+
+        return dataclasses.replace(
+            self,
+            trunk_width=scale(self.trunk_width),
+            color_channels=scale(self.color_channels),
+            shape_stages=scale_all(self.shape_stages),
+            down=scale_all(self.down),
+            up=scale_all(self.up),
+            fine=scale_all(self.fine),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers, strings and lists of numbers, for JSON."""
+        return {
+            field.name: _lists(value) if isinstance(value := getattr(self, field.name), tuple) else value
+            for field in dataclasses.fields(self)
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> NetworkSettings:
+        """The inverse of `to_dict`; fields that are absent take their defaults.
+
+        Raises:
+            MethodError: an unknown field, a value of another type, or one that no network can be built from.
+        """
+        known = {field.name: field.default for field in dataclasses.fields(cls)}
+        arguments: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in known:
+                raise MethodError(f"unknown network setting {name!r}: choose from {', '.join(known)}")
+            arguments[name] = _like(known[name], value, name)
+        return cls(**arguments)
+
+
+def _lists(value: Any) -> Any:
+    return [_lists(item) for item in value] if isinstance(value, tuple) else value
+
+
+def _like(example: Any, value: Any, name: str) -> Any:
+    """`value` with lists made tuples, where it has the same kind and nesting as `example`."""
+    if isinstance(example, tuple) and isinstance(value, list | tuple):
+        return tuple(_like(example[0], item, name) for item in value)
+    if type(value) is not type(example):
+        kind = "a list" if isinstance(example, tuple) else f"of type {type(example).__name__}"
+        raise MethodError(f"network setting {name} must be {kind}, not {value!r}")
+    return value
