@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import gc
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
+from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.synth.camera_rays import pixel_rays
 from objectflow.synth.placement import Placement, object_numbers
+from objectflow.synth.tracer import cycles_freed, find_device, import_tracer, quiet
 
 DEPTH_CLIP = float(2**20)
 """Metres at which mujoco-warp's reader of depth clips; a power of two, so that scaling loses no bit."""
@@ -61,8 +56,8 @@ class Renderer:
         if samples not in (1, 4):
             raise ObjectflowError(f"a pixel has 1 or 4 colour samples, not {samples}")
         self._width, self._height, self._samples = width, height, samples
-        self._warp, self._tracer = _import_tracer()
-        self._device = _find_device(self._warp, device)
+        self._warp, self._tracer = import_tracer()
+        self._device = find_device(self._warp, device)
         self._kernels: dict[Any, Any] = {}
 
     def render(
@@ -88,7 +83,7 @@ class Renderer:
                 f"it needs {expected} and {(cameras, 4, 4)}"
             )
         placement = Placement.of(model, numbers, world_T_objects, world_T_cameras)
-        with _cycles_freed(), self._warp.ScopedDevice(self._device):
+        with cycles_freed(), quiet(self._warp), self._warp.ScopedDevice(self._device):
             color, depth, geoms = self._trace(model, placement)
         shape = (frames, cameras, self._height, self._width)
         # Geom -1, nothing hit, finds the 0 that is appended.
@@ -160,65 +155,3 @@ class Renderer:
 def _kernel_key(model: Any, context: Any) -> Any:
     """What may still differ between two scenes' kernels."""
     return context.geom_ray_types, int(model.nlight)
-
-
-def _import_tracer() -> tuple[ModuleType, ModuleType]:
-    """Warp and mujoco-warp, without the banner that Warp prints as it starts."""
-    try:
-        import warp
-    except ImportError as error:
-        raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
-    with _quiet(warp):
-        try:
-            import mujoco_warp
-        except ImportError as error:
-            raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
-        warp.init()
-    return warp, mujoco_warp
-
-
-def _find_device(warp: ModuleType, device: str) -> Any:
-    if device not in ("cpu", "cuda"):
-        raise ObjectflowError(f"there is no device {device!r}: choose cpu or cuda")
-    if device == "cuda" and not warp.is_cuda_available():
-        raise ObjectflowError("no CUDA device is found for rendering: choose --device cpu")
-    return warp.get_device("cuda:0" if device == "cuda" else "cpu")
-
-
-@contextmanager
-def _cycles_freed() -> Iterator[None]:
-    """Free at once what refers to itself.
-
-    `put_model` leaves functions behind that refer to each other and to the model. Python frees them only when it next
-    goes through everything there is, hundreds of scenes later, and does not know how many megabytes a model holds.
-    What is made here stays young as long as nothing is collected meanwhile, and going through the young is quick.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.collect(0)
-        if enabled:
-            gc.enable()
-
-
-@contextmanager
-def _quiet(warp: ModuleType) -> Iterator[None]:
-    """Hold back what Warp says as it starts: its banner, and a warning that there is no CUDA driver.
-
-    The warning comes from its native part, which writes to the process's standard error itself.
-    """
-    level = warp.config.log_level
-    warp.config.log_level = warp.LOG_ERROR
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
-        warp.config.log_level = level
