@@ -276,7 +276,9 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
 
     camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
     renderer.render(cube_scene(0.05), poses((0, 0, 0.05)), camera)
-    kernels = list(renderer._kernels.values())
+    kernels = dict(renderer._kernels)
+    renderer.render(cube_scene(0.07), poses((0, 0, 0.07)), camera)
+    assert renderer._kernels == kernels
     level, warp.config.log_level = warp.config.log_level, warp.LOG_DEBUG
     try:
         capfd.readouterr()
@@ -287,8 +289,11 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
             spec.lights[2].active = number == 2
             spec.lights[0].type = mujoco.mjtLightType.mjLIGHT_SPOT
             spec.lights[1].attenuation = [1, 0.1 * number, 0]
-            spec.visual.headlight.ambient = [0.01 * number] * 3
-            renderer.render(spec.compile(), poses(*[(0.1 * k, 0, size) for k in range(number)]), camera)
+            spec.visual.headlight.active = number == 3
+            # A renderer that has no kernel yet, so that what goes into one is looked at again.
+            fresh = Renderer(WIDTH, HEIGHT)
+            fresh.render(spec.compile(), poses(*[(0.1 * k, 0, size) for k in range(number)]), camera)
+            assert len(fresh._kernels) == 1
         assert "Module" not in capfd.readouterr().out
         # A module that is new does say so.
         other = mujoco.MjModel.from_xml_string(
@@ -299,7 +304,6 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
         assert "Module" in capfd.readouterr().out
     finally:
         warp.config.log_level = level
-    assert list(renderer._kernels.values())[: len(kernels)] == kernels
 
 
 def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
