@@ -1,0 +1,141 @@
+"""Milliseconds to group 320x240 maps with 30 objects, one core and CUDA: `python benchmarks/grouping.py`.
+
+Each object's pixels predict its trajectory with noise; some pixels predict nonsense, as a network does at edges. The
+same maps go through +Rig's averages, and the last column compares with the rule written as a loop over all pixels.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import tyro
+from rich.console import Console
+from rich.table import Table
+from torch import Tensor
+
+from objectflow.averaging import average_motions
+from objectflow.grouping import GroupingSettings, group, trajectory_feature
+
+
+@dataclasses.dataclass
+class Settings:
+    """Times the grouping."""
+
+    objects: int = 30
+    """Objects in the image."""
+    width: int = 320
+    """Pixels; the height is three quarters of it."""
+    foreground: float = 0.7
+    """Share of the image that the objects cover."""
+    noise: float = 0.004
+    """Metres, standard deviation of each number of the trajectory feature."""
+    nonsense: tuple[float, ...] = (0.0, 0.002, 0.02)
+    """Shares of the foreground that predict anything at all: one row each."""
+    repeats: int = 15
+    """Runs; the median counts."""
+    threads: int = 1
+    """Of torch on the CPU."""
+    seed: int = 0
+    """Of the maps."""
+
+
+def make_maps(settings: Settings, nonsense: float, generator: torch.Generator) -> dict[str, Tensor]:
+    width, height = settings.width, settings.width * 3 // 4
+    pixels = width * height
+    band = torch.arange(pixels) % height  # objects as stripes: their shape does not matter here
+    owner = (
+        (band * settings.objects // max(1, round(height * settings.foreground))).reshape(width, height).T.contiguous()
+    )
+    foreground = owner < settings.objects
+    owner = owner.clamp_max(settings.objects - 1)
+
+    def noisy(truth: Tensor, sigma: float) -> Tensor:
+        clean = truth[owner].permute(2, 0, 1)
+        return clean + sigma * torch.randn(clean.shape, generator=generator)
+
+    center = noisy(torch.rand(settings.objects, 3, generator=generator), settings.noise)
+    translation = noisy(0.2 * torch.rand(settings.objects, 3, generator=generator), settings.noise)
+    rotation = noisy(torch.rand(settings.objects, 3, generator=generator), 0.02)
+    wrong = torch.rand(owner.shape, generator=generator) < nonsense
+    center = torch.where(wrong, torch.rand(center.shape, generator=generator), center)
+    return {
+        "center": center,
+        "translation": translation,
+        "rotation": rotation,
+        "foreground": foreground,
+        "centrality": torch.rand(owner.shape, generator=generator),
+        "radius": torch.full(owner.shape, 0.05),
+    }
+
+
+def obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor) -> Tensor:
+    """The rule as it is written: every sphere looks at every pixel; strays stay as they are."""
+    left, labels, label = foreground.clone(), torch.zeros(foreground.shape, dtype=torch.int32), 0
+    while bool(left.any()):
+        seed = int(torch.where(left, centrality, -torch.inf).argmax())
+        distance = (feature - feature.flatten(1)[:, seed, None, None]).norm(dim=0)
+        inside = left & (distance < radius.flatten()[seed])
+        inside.view(-1)[seed] = True
+        label += 1
+        labels[inside] = label
+        left &= ~inside
+    return labels
+
+
+def milliseconds(work: Callable[[], object], repeats: int, device: str) -> float:
+    work()
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        if device == "cuda":
+            torch.cuda.synchronize()
+        seconds.append(time.perf_counter() - start)
+    return 1000 * statistics.median(seconds)
+
+
+def main(settings: Settings) -> None:
+    torch.set_num_threads(settings.threads)
+    table = Table(
+        title=f"{settings.objects} objects, {settings.width}x{settings.width * 3 // 4}, {platform.machine()}"
+    )
+    for column in ("device", "nonsense", "found", "group ms", "with rotation ms", "averages ms", "loop / group"):
+        table.add_column(column, justify="right")
+    for device in ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",):
+        for nonsense in settings.nonsense:
+            generator = torch.Generator().manual_seed(settings.seed)
+            maps = {name: x.to(device) for name, x in make_maps(settings, nonsense, generator).items()}
+            rest = maps["foreground"], maps["centrality"], maps["radius"]
+            times, labels = [], torch.empty(0)
+            for weight in (0.0, 0.05):
+                feature = trajectory_feature(maps["center"], maps["translation"], maps["rotation"], weight)
+                grouping = GroupingSettings(rotation_weight=weight)
+                times.append(
+                    milliseconds(functools.partial(group, feature, *rest, grouping), settings.repeats, device)
+                )
+            feature = trajectory_feature(maps["center"], maps["translation"], maps["rotation"])
+            labels = group(feature, *rest)
+            ids = labels.cpu().numpy()
+            arrays = [maps[name].permute(1, 2, 0).cpu().numpy() for name in ("rotation", "translation", "center")]
+            average = milliseconds(
+                functools.partial(average_motions, ids, *arrays, confidence=np.ones(ids.shape)),
+                settings.repeats,
+                "cpu",
+            )
+            ratio = "-"
+            if device == "cpu":
+                ratio = f"{milliseconds(functools.partial(obvious, feature, *rest), 1, device) / times[0]:.1f}"
+            figures = [f"{value:.1f}" for value in (*times, average)]
+            table.add_row(device, f"{nonsense:.1%}", str(int(labels.max())), *figures, ratio)
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings, description=__doc__))
