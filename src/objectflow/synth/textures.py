@@ -1,0 +1,249 @@
+"""Textures drawn from a few numbers: floors (wood, tiles, fabric, ...) and object surfaces (labels, stripes, ...)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import DatasetError
+
+Rgb = tuple[int, int, int]
+Float = NDArray[np.float32]
+
+FLOOR_KINDS = ("wood", "tiles", "fabric", "gravel", "noise", "checker", "plain", "paper")
+OBJECT_KINDS = ("label", "stripes", "noise", "plain")
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+
+
+@dataclass(frozen=True)
+class TextureSpec:
+    """Everything that fixes a texture's pixels at a given size.
+
+    Attributes:
+        kind: one of FLOOR_KINDS or OBJECT_KINDS, or "image", or "model" (the picture that came with the mesh).
+        seed: of the pattern.
+        colors: three RGB colours: ground, pattern, accent.
+        scale: features per side; what is one depends on the kind (planks, tiles, stripes, ...).
+        path: the picture file of kind "image", otherwise "".
+    """
+
+    kind: str
+    seed: int = 0
+    colors: tuple[Rgb, Rgb, Rgb] = ((200, 200, 200), (120, 120, 120), (60, 60, 60))
+    scale: int = 4
+    path: str = ""
+
+
+def draw_texture(spec: TextureSpec, size: int) -> NDArray[np.uint8]:
+    """Draw a square texture: (size, size, 3) uint8 RGB, tiling at its borders, the same bytes for the same spec.
+
+    Raises:
+        DatasetError: an unknown kind, or a picture that cannot be read.
+    """
+    if spec.kind == "image":
+        return _image(Path(spec.path), size)
+    painter = _PAINTERS.get(spec.kind)
+    if painter is None:
+        raise DatasetError(f"unknown texture kind {spec.kind!r}: one of {', '.join(_PAINTERS)}, image")
+    rng = np.random.default_rng(spec.seed)
+    ground, pattern, accent = (np.array(color, dtype=np.float32) for color in spec.colors)
+    painted = painter(rng, size, spec.scale, (ground, pattern, accent))
+    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The picture files of a folder by name.
+
+    Raises:
+        DatasetError: no such folder, or no picture in it.
+    """
+    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
+    if not files:
+        raise DatasetError(f"no pictures in {folder}: give a folder with {', '.join(IMAGE_SUFFIXES)} files")
+    return files
+
+
+def _image(path: Path, size: int) -> NDArray[np.uint8]:
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise DatasetError(f"cannot read the texture {path}: is it a picture?")
+    side = min(picture.shape[:2])
+    # Averaging over areas: the ray tracer has no mip maps, so a sharper picture would shimmer.
+    return cv2.cvtColor(
+        cv2.resize(picture[:side, :side], (size, size), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB
+    ).astype(np.uint8)
+
+
+def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, int]]) -> Float:
+    """Smooth noise that tiles: (size, size) in [0, 1], a sum of octaves with (rows, columns) of random cells.
+
+    Each octave has half the weight of the one before.
+    """
+    total = np.zeros((size, size), dtype=np.float32)
+    weight = 1.0
+    for octave in cells:
+        rows, columns = (min(count, size) for count in octave)
+        grid = rng.random((rows, columns), dtype=np.float32)
+        # Two cells of wrapped border on each side, so that the interpolation tiles.
+        wrapped = np.pad(grid, 2, mode="wrap")
+        y = (np.arange(size, dtype=np.float32) + 0.5) * rows / size + 1.5
+        x = (np.arange(size, dtype=np.float32) + 0.5) * columns / size + 1.5
+        map_x, map_y = np.meshgrid(x, y)
+        total += weight * cv2.remap(wrapped, map_x, map_y, cv2.INTER_LINEAR)
+        weight /= 2
+    low, high = float(total.min()), float(total.max())
+    return ((total - low) / max(high - low, 1e-6)).astype(np.float32)
+
+
+def _mix(a: Float, b: Float, share: Float) -> Float:
+    """Blend colours (3,) or (H, W, 3) by a share (H, W)."""
+    return np.asarray(a + (b - a) * share[..., None], dtype=np.float32)
+
+
+def _octaves(scale: int) -> list[tuple[int, int]]:
+    return [(scale * 2**k, scale * 2**k) for k in range(1, 5)]
+
+
+Colors = tuple[Float, Float, Float]
+
+
+def _plain(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    # A hint of unevenness: no real surface is one colour.
+    return _mix(colors[0], colors[0] * np.float32(0.92), value_noise(rng, size, _octaves(scale)))
+
+
+def _noise(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    first = _mix(colors[0], colors[1], value_noise(rng, size, _octaves(scale)))
+    return _mix(first, np.broadcast_to(colors[2], first.shape), value_noise(rng, size, _octaves(scale)) ** 3)
+
+
+def _checker(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    index = np.arange(size) * 2 * scale // size
+    squares = (index[:, None] + index[None, :]) % 2
+    return _mix(colors[0], colors[1], squares.astype(np.float32)) * _shade(rng, size, 0.06)
+
+
+def _shade(rng: np.random.Generator, size: int, amount: float) -> Float:
+    """(H, W, 1) factors near one: dirt and wear."""
+    return np.float32(1) - np.float32(amount) * value_noise(rng, size, [(8, 8), (32, 32), (128, 128)])[..., None]
+
+
+def _wood(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    grain = value_noise(rng, size, [(3 * scale, 2), (12 * scale, 3), (40 * scale, 5)])
+    rings = 0.5 + 0.5 * np.sin(grain * np.float32(30))
+    board = np.arange(size) * scale // size
+    tone = rng.uniform(0.8, 1.1, scale).astype(np.float32)[board][:, None, None]
+    surface = _mix(colors[0], colors[1], 0.6 * grain + 0.25 * rings) * tone
+    gap = (np.arange(size) * scale % size < max(scale, size // 100 * scale)).astype(np.float32)
+    return _mix(surface, colors[2] * np.float32(0.4), np.repeat(gap[:, None], size, axis=1))
+
+
+def _tiles(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    index = np.arange(size) * scale // size
+    tone = rng.uniform(0.85, 1.0, (scale, scale)).astype(np.float32)[index][:, index][..., None]
+    marble = value_noise(rng, size, _octaves(scale))
+    surface = _mix(colors[0], colors[1], 0.35 * marble) * tone
+    joint = np.arange(size) * scale % size < max(scale, 0.05 * size)
+    lines = (joint[:, None] | joint[None, :]).astype(np.float32)
+    return _mix(surface, colors[2], lines)
+
+
+def _fabric(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    phase = np.arange(size, dtype=np.float32) * (2 * np.pi * 8 * scale / size)
+    weave = 0.5 + 0.25 * (np.sin(phase)[:, None] + np.sin(phase)[None, :])
+    band = np.arange(size) * scale // size % 3 == 0
+    cloth = _mix(colors[0], colors[1], 0.45 * (band[:, None].astype(np.float32) + band[None, :]))
+    return np.asarray(cloth * (0.75 + 0.25 * weave[..., None]) * _shade(rng, size, 0.15), dtype=np.float32)
+
+
+def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    count = min(1500, 12 * scale * scale)
+    out = np.tile(colors[2] * np.float32(0.5), (size, size, 1))
+    for _ in range(count):
+        center = rng.integers(0, size, 2)
+        radii = np.maximum(1, rng.uniform(0.15, 0.4, 2) * size / scale).astype(int)
+        share = rng.random(2)
+        color = (colors[0] + (colors[1] - colors[0]) * share[0]) * (0.6 + 0.4 * share[1])
+        angle = float(rng.uniform(0, 180))
+        # Drawn also one period away, where a stone crosses the border.
+        for dx in (-size, 0, size):
+            for dy in (-size, 0, size):
+                x, y = int(center[0] + dx), int(center[1] + dy)
+                reach = int(radii.max())
+                if -reach < x < size + reach and -reach < y < size + reach:
+                    cv2.ellipse(out, ((x, y), (2.0 * radii[0], 2.0 * radii[1]), angle), color.tolist(), -1)
+    return out * _shade(rng, size, 0.3)
+
+
+def _letters(rng: np.random.Generator, out: Float, color: Float, lines: int, left: float, right: float) -> None:
+    """Rows of dashes as long as words, in place: print as it looks from half a metre."""
+    size = out.shape[0]
+    height = size / lines
+    for line in range(lines):
+        x = left * size
+        top, bottom = int((line + 0.3) * height), int((line + 0.7) * height)
+        while x < right * size and rng.random() > 0.04:
+            width = rng.uniform(0.4, 2.0) * height
+            cv2.rectangle(out, (int(x), top), (int(min(x + width, right * size)), bottom), color.tolist(), -1)
+            x += width + 0.4 * height
+
+
+def _paper(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    out = np.full((size, size, 3), 235, dtype=np.float32) * _shade(rng, size, 0.05)
+    _letters(rng, out, colors[2] * np.float32(0.4), 6 * scale, 0.06, 0.94)
+    for _ in range(scale):
+        x, y = (rng.random(2) * 0.7 * size).astype(int)
+        w, h = (rng.uniform(0.1, 0.3, 2) * size).astype(int)
+        picture = colors[int(rng.integers(0, 2))].tolist()
+        cv2.rectangle(out, (int(x), int(y)), (int(x + w), int(y + h)), picture, -1)
+    return out
+
+
+def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    vertical = rng.random() < 0.5
+    index = np.arange(size) * 3 * scale // size
+    choice = rng.integers(0, 3, 3 * scale)[index]
+    row = np.stack(colors)[choice]
+    out = np.repeat(row[:, None], size, axis=1)
+    return np.asarray(out if vertical else out.swapaxes(0, 1), dtype=np.float32) * _shade(rng, size, 0.08)
+
+
+def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+    out = _plain(rng, size, scale, colors)
+    top, bottom = np.sort(rng.uniform(0.1, 0.9, 2))
+    bottom = max(bottom, top + 0.3)
+    cv2.rectangle(out, (0, int(top * size)), (size, int(bottom * size)), colors[1].tolist(), -1)
+    for _ in range(int(rng.integers(1, 4))):
+        x, y = (rng.random(2) * size).astype(int)
+        cv2.circle(out, (int(x), int(y)), int(rng.uniform(0.06, 0.2) * size), colors[2].tolist(), -1)
+    word = "".join(chr(65 + letter) for letter in rng.integers(0, 26, int(rng.integers(3, 7))))
+    thick = max(1, size // 40)
+    place = (int(rng.uniform(0, 0.3) * size), int((top + 0.22) * size))
+    ink = np.zeros((size, size), dtype=np.uint8)
+    cv2.putText(ink, word, place, cv2.FONT_HERSHEY_SIMPLEX, size / 110, (255,), thick)
+    out = _mix(out, colors[2], ink.astype(np.float32) / np.float32(255))
+    inset = out[int(0.6 * size) :, int(0.55 * size) :].copy()
+    side = inset.shape[0]
+    panel = np.full((side, side, 3), 225, dtype=np.float32)
+    _letters(rng, panel, np.full(3, 40, dtype=np.float32), 8, 0.08, 0.92)
+    out[int(0.6 * size) :, int(0.55 * size) : int(0.55 * size) + side] = panel[:, : inset.shape[1]]
+    return out
+
+
+_PAINTERS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float]] = {
+    "wood": _wood,
+    "tiles": _tiles,
+    "fabric": _fabric,
+    "gravel": _gravel,
+    "noise": _noise,
+    "checker": _checker,
+    "plain": _plain,
+    "paper": _paper,
+    "label": _label,
+    "stripes": _stripes,
+}
