@@ -50,13 +50,14 @@ def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Array:
         GeometryError: the axes generate more turns than any solid's group has.
     """
     a = _unit_axes(axes, orders)
-    turns = [so3_exp(2 * np.pi * k / n * axis) for axis, n in zip(a, orders, strict=True) for k in range(1, n)]
+    powers = [2 * np.pi * k / n * axis for axis, n in zip(a, orders, strict=True) for k in range(1, n)]
+    turns = so3_exp(np.array(powers).reshape(-1, 3))
+    generators = so3_exp(2 * np.pi * a / np.array(orders, dtype=np.float64)[:, None])
     # Different turns of a group with C_n are 2 pi / n apart or more.
     same = min(_SAME_TURN, np.pi / max(orders, default=2))
     limit = max(_LARGEST_GROUP, 2 * max(orders, default=0))
     group = np.eye(3)[None]
-    fresh = _new_turns(np.array(turns).reshape(-1, 3, 3), group, same)
-    generators = fresh
+    fresh = _new_turns(turns, group, same)
     while len(fresh):
         group = np.concatenate([group, fresh])
         if len(group) > limit:
@@ -68,17 +69,20 @@ def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Array:
 
 def _new_turns(candidates: Array, known: Array, same: float) -> Array:
     """The candidates that differ from all known turns and from each other."""
-    if len(candidates) == 0:
-        return candidates
-    # trace(A^T B) = 1 + 2 cos of the angle between A and B.
-    floor = 1 + 2 * np.cos(same)
-    traces = np.einsum("aij,bij->ab", candidates, np.concatenate([known, candidates]))
-    equal = traces > floor
+    floor = 1 + 2 * np.cos(same)  # trace(A^T B) = 1 + 2 cos of the angle between A and B
+    new = candidates[~(_traces(candidates, known) > floor).any(1)]
+    equal = _traces(new, new) > floor
     fresh: list[int] = []
-    for i in range(len(candidates)):
-        if not equal[i, : len(known)].any() and not equal[i, [len(known) + j for j in fresh]].any():
+    for i in range(len(new)):
+        if not equal[i, fresh].any():
             fresh.append(i)
-    return candidates[fresh]
+    return np.asarray(new[fresh])
+
+
+def _traces(a: Array, b: Array) -> Array:
+    """(A, 3, 3) and (B, 3, 3) -> (A, B): trace(a^T b) of every two."""
+    product: Array = a.reshape(-1, 9) @ b.reshape(-1, 9).T
+    return product
 
 
 def _error_of_revolution(E: Array, continuous: Sequence[Array], others: Sequence[tuple[Array, int]]) -> float:
