@@ -1,0 +1,75 @@
+"""Two frames of one scene make a pair: the object table with motions back in time, reduced by symmetry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.dataset.schema import FrameObject, PairObject, PairRow, SequenceRow
+from objectflow.errors import DatasetError
+from objectflow.synth.symmetry import reduce_motion
+
+
+def pair_objects(
+    prev: Sequence[FrameObject],
+    curr: Sequence[FrameObject],
+    prev_labels: NDArray[np.int32],
+    curr_labels: NDArray[np.int32],
+) -> tuple[PairObject, ...]:
+    """The object table of a pair: every object that is seen in at least one of the frames.
+
+    Args:
+        prev, curr: all objects of the scene in each frame, in the same order, poses in the camera frame.
+        prev_labels, curr_labels: (H, W) int32.
+
+    Raises:
+        DatasetError: the two frames do not hold the same objects.
+    """
+    if [(obj.label, obj.model) for obj in prev] != [(obj.label, obj.model) for obj in curr]:
+        raise DatasetError("two frames with different objects make no pair")
+    in_prev, in_curr = set(np.unique(prev_labels).tolist()), set(np.unique(curr_labels).tolist())
+    return tuple(
+        _motion(before, now, in_both=now.label in in_prev and now.label in in_curr)
+        for before, now in zip(prev, curr, strict=True)
+        if now.label in in_prev or now.label in in_curr
+    )
+
+
+def pair_of_frames(prev: SequenceRow, curr: SequenceRow, key: str | None = None, scene: str | None = None) -> PairRow:
+    """Two frames of a sequence as a pair; key "test-000003/30" where none is given, for its current frame 30.
+
+    Raises:
+        DatasetError: frames of two sequences.
+    """
+    if prev.sequence != curr.sequence:
+        raise DatasetError(f"frames of sequences {prev.sequence} and {curr.sequence} make no pair")
+    return PairRow(
+        key=key or f"{curr.sequence}/{curr.frame}",
+        scene=scene or curr.sequence,
+        prev=prev.image,
+        prev_labels=prev.labels,
+        curr=curr.image,
+        curr_labels=curr.labels,
+        objects=pair_objects(prev.objects, curr.objects, prev.labels, curr.labels),
+    )
+
+
+def _motion(prev: FrameObject, curr: FrameObject, *, in_both: bool) -> PairObject:
+    raw = prev.pose[:3, :3] @ curr.pose[:3, :3].T
+    reduced = reduce_motion(prev.pose[:3, :3], curr.pose[:3, :3], curr.symmetry)
+    return PairObject(
+        label=curr.label,
+        category=curr.category,
+        model=curr.model,
+        center=curr.pose[:3, 3].copy(),
+        translation=prev.pose[:3, 3] - curr.pose[:3, 3],
+        rotation_vector=geometry.so3_log(reduced),
+        raw_rotation_vector=geometry.so3_log(raw),
+        symmetry=curr.symmetry,
+        prev_pose=prev.pose,
+        curr_pose=curr.pose,
+        in_both=in_both,
+    )

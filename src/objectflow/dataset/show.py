@@ -1,0 +1,155 @@
+"""Draw a row: both frames with the objects' centres, depth, labels, scene flow."""
+
+from __future__ import annotations
+
+import colorsys
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.dataset.schema import PairRow, SequenceRow
+from objectflow.frame import Camera, RgbdFrame
+
+Image = NDArray[np.uint8]
+
+TITLE = 18
+"""Pixels: height of the line above each panel."""
+
+PANEL_WIDTH = 320
+"""Pixels: smaller images are enlarged to this width, so that text and centres stay readable."""
+
+
+def draw_pair(row: PairRow) -> Image:
+    """A pair as a picture (h, w, 3) uint8 RGB: colour, depth and labels of both frames, flow, and how far things went.
+
+    Crosses are centres of objects seen in both frames; lines on the current frame lead to where they were.
+    """
+    near, far = _range([row.prev, row.curr])
+    motions = {obj.label: obj.prev_T_curr(raw=True) for obj in row.objects if obj.in_both}
+    points = geometry.back_project(row.curr.depth, row.curr.camera)
+    flow = geometry.flow_from_motions(points, row.curr_labels, motions)
+    length = np.linalg.norm(flow, axis=-1)
+    reach = max(0.01, float(np.nanmax(length, initial=0)))
+    both = [obj for obj in row.objects if obj.in_both]
+    centers = np.array([obj.center for obj in both]).reshape(-1, 3)
+    before = centers + np.array([obj.translation for obj in both]).reshape(-1, 3)
+    moved = int(sum(np.linalg.norm(obj.translation) > 0.005 for obj in both))
+    panels = [
+        [
+            ("previous", _with_centers(row.prev, before, None)),
+            ("current, centres and where they were", _with_centers(row.curr, centers, before)),
+            (f"scene flow to previous, up to {100 * reach:.1f} cm", _draw_flow(flow, reach)),
+        ],
+        [
+            (f"previous depth, {near:.2f}-{far:.2f} m", _draw_depth(row.prev.depth, near, far)),
+            (f"current depth, {near:.2f}-{far:.2f} m", _draw_depth(row.curr.depth, near, far)),
+            (f"flow length, up to {100 * reach:.1f} cm", _draw_length(length, reach)),
+        ],
+        [
+            ("previous labels", _draw_labels(row.prev_labels, row.prev.color)),
+            ("current labels", _draw_labels(row.curr_labels, row.curr.color)),
+            (f"{row.key}: {len(row.objects)} objects, {moved} moved", _draw_labels(row.curr_labels, None)),
+        ],
+    ]
+    return _sheet(panels)
+
+
+def draw_frames(rows: Sequence[SequenceRow]) -> Image:
+    """Frames of a sequence below each other (h, w, 3) uint8 RGB: colour with centres, depth, labels."""
+    near, far = _range([row.image for row in rows])
+    panels = []
+    for row in rows:
+        seen = set(np.unique(row.labels).tolist())
+        centers = np.array([obj.pose[:3, 3] for obj in row.objects if obj.label in seen]).reshape(-1, 3)
+        panels.append(
+            [
+                (f"{row.sequence}, frame {row.frame}", _with_centers(row.image, centers, None)),
+                (f"depth, {near:.2f}-{far:.2f} m", _draw_depth(row.image.depth, near, far)),
+                (f"labels, {len(seen - {0})} objects", _draw_labels(row.labels, row.image.color)),
+            ]
+        )
+    return _sheet(panels)
+
+
+def label_color(label: int) -> tuple[int, int, int]:
+    """A colour for a label, far from those of the labels near it: hues turn by the golden angle."""
+    red, green, blue = colorsys.hsv_to_rgb(label * 0.381966 % 1, 0.9 if label % 2 else 0.6, 1.0)
+    return int(255 * red), int(255 * green), int(255 * blue)
+
+
+def _with_centers(frame: RgbdFrame, centers: NDArray[Any], tails: NDArray[Any] | None) -> Image:
+    picture = _enlarge(frame.color)
+    scale = picture.shape[1] / frame.camera.width
+
+    def place(point: NDArray[Any], camera: Camera) -> tuple[int, int] | None:
+        pixel = (geometry.project(point, camera) + 0.5) * scale - 0.5
+        return (round(float(pixel[0])), round(float(pixel[1]))) if np.abs(pixel).max() < 1e4 else None
+
+    for i, center in enumerate(centers):
+        head = place(center, frame.camera)
+        tail = None if tails is None else place(tails[i], frame.camera)
+        if head is None:
+            continue
+        for color, width in (((0, 0, 0), 3), ((255, 255, 0), 1)):
+            if tail is not None:
+                cv2.line(picture, head, tail, color, width, cv2.LINE_AA)
+            cv2.drawMarker(picture, head, color, cv2.MARKER_CROSS, 9, width, cv2.LINE_AA)
+    return picture
+
+
+def _draw_depth(depth: NDArray[np.float32], near: float, far: float) -> Image:
+    """Near is bright; missing is black."""
+    level = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
+    picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
+    picture[depth == 0] = 0
+    return _enlarge(picture, smooth=False)
+
+
+def _draw_labels(labels: NDArray[np.int32], color: Image | None) -> Image:
+    table = np.array([label_color(label) if label else (40, 40, 40) for label in range(int(labels.max()) + 1)])
+    picture = table[labels].astype(np.float64)
+    if color is not None:
+        picture = np.where(labels[..., None] > 0, 0.55 * picture + 0.45 * color, 0.6 * color)
+    return _enlarge(picture.astype(np.uint8), smooth=False)
+
+
+def _draw_flow(flow: NDArray[np.float32], reach: float) -> Image:
+    """Red, green and blue for motion along x, y and z; grey is none, black is missing depth."""
+    picture = 127.5 + 127.5 * np.clip(np.nan_to_num(flow) / reach, -1, 1)
+    picture[np.isnan(flow).any(-1)] = 0
+    return _enlarge(picture.astype(np.uint8), smooth=False)
+
+
+def _draw_length(length: NDArray[np.float32], reach: float) -> Image:
+    level = (255 * np.clip(np.nan_to_num(length) / reach, 0, 1)).astype(np.uint8)
+    return _enlarge(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1], smooth=False)
+
+
+def _range(frames: Sequence[RgbdFrame]) -> tuple[float, float]:
+    """Depth range of a picture: the middle 98 percent."""
+    depth = np.concatenate([frame.depth[frame.valid] for frame in frames])
+    near, far = np.percentile(depth, [1, 99])
+    return float(near), float(far)
+
+
+def _enlarge(picture: NDArray[Any], *, smooth: bool = True) -> Image:
+    factor = max(1, round(PANEL_WIDTH / picture.shape[1]))
+    size = (picture.shape[1] * factor, picture.shape[0] * factor)
+    mode = cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
+    return np.ascontiguousarray(cv2.resize(picture, size, interpolation=mode), dtype=np.uint8)
+
+
+def _sheet(panels: Sequence[Sequence[tuple[str, Image]]]) -> Image:
+    rows = []
+    for line in panels:
+        titled = []
+        for title, picture in line:
+            bar = np.full((TITLE, picture.shape[1], 3), 255, np.uint8)
+            cv2.putText(bar, title, (4, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+            titled.append(np.pad(np.concatenate([bar, picture]), ((0, 4), (0, 4), (0, 0)), constant_values=255))
+        rows.append(np.concatenate(titled, axis=1))
+    return np.concatenate(rows)
