@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from objectflow import grouping
 from objectflow.errors import MethodError
 from objectflow.grouping import GroupingSettings, group, trajectory_feature
 
@@ -50,6 +51,14 @@ def _random_maps(seed: int, objects: int, strays: float) -> tuple[Tensor, Tensor
     return feature, foreground, centrality, 0.3 * torch.rand(15, 20, generator=generator) - 0.05
 
 
+@pytest.fixture(params=[0, 40, 1024])
+def few(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Where the work changes over to all distances at once: never, half way, at once."""
+    monkeypatch.setattr(grouping, "_FEW", request.param)
+    return int(request.param)
+
+
+@pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("strays", [0.0, 0.3])
 def test_equals_the_rule_written_out(seed: int, strays: float) -> None:
@@ -60,6 +69,7 @@ def test_equals_the_rule_written_out(seed: int, strays: float) -> None:
         np.testing.assert_array_equal(labels.numpy(), _obvious(*maps, min_pixels))
 
 
+@pytest.mark.usefixtures("few")
 def test_equals_the_rule_with_many_pixels_of_nonsense() -> None:
     feature, foreground, centrality, radius = _random_maps(3, 4, 1.0)
     tiny = torch.full_like(radius, 0.05)
@@ -76,6 +86,7 @@ def test_cuda_gives_the_same_labels() -> None:
     assert torch.equal(on_cuda.cpu(), group(*maps))
 
 
+@pytest.mark.usefixtures("few")
 def test_labels_follow_the_seeds_and_leftovers_the_nearest() -> None:
     feature = torch.zeros(6, 2, 30)
     feature[0, 0], feature[0, 1] = 0.0, 1.0
@@ -90,6 +101,7 @@ def test_labels_follow_the_seeds_and_leftovers_the_nearest() -> None:
     assert torch.equal(labels, expected)
 
 
+@pytest.mark.usefixtures("few")
 def test_a_limit_on_seeds_leaves_the_rest_to_the_nearest() -> None:
     feature = torch.arange(5.0).repeat_interleave(30).expand(6, 1, -1)
     centrality = -feature[0]
@@ -135,6 +147,7 @@ def test_numbers_that_are_not_finite_are_background() -> None:
     assert torch.equal(labels > 0, foreground & ~spoiled)
 
 
+@pytest.mark.usefixtures("few")
 def test_nothing_in_the_foreground_or_nothing_large_enough() -> None:
     feature, foreground, centrality, radius = _random_maps(1, 3, 0.0)
     assert not group(feature, torch.zeros_like(foreground), centrality, radius).any()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -11,6 +12,8 @@ from objectflow.errors import MethodError
 
 _COMPACT = 0.8
 """Assigned pixels are dropped from the arrays once no more than this share of them is left unassigned."""
+_FEW = 1024
+"""From so few pixels on, all their mutual distances are found at once: a megabyte or two."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,9 @@ def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
     reach = radius.clamp_min(0).square()
     left, free, first = points, torch.ones_like(groups, dtype=torch.bool), 0
     for seed in range(1, max_seeds + 1):
-        if place.numel() == 0:
+        if place.numel() <= _FEW:
+            place, left = place[free], left[:, free]
+            groups[place] = _few_spheres(left, reach[place], seed, max_seeds)
             break
         inside = _squared_distance(left, left[:, first : first + 1]) < reach[place[first]]
         inside &= free
@@ -121,8 +126,29 @@ def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
     return groups
 
 
+def _few_spheres(points: Tensor, reach: Tensor, seed: int, max_seeds: int) -> Tensor:
+    """The same rule with all distances found at once, which starts the many spheres of strays faster.
+
+    (D, M), (M,) squared radii and the number of the next group -> (M,) int64 groups; 0 = not reached.
+    """
+    distance = _squared_distance(points[:, None, :], points[:, :, None])
+    near = (distance < reach[:, None]).cpu().numpy()
+    groups = np.zeros(len(near), np.int64)
+    free = np.ones(len(near), np.bool_)
+    for first in range(len(near)):
+        if seed > max_seeds:
+            break
+        if free[first]:
+            inside = near[first] & free
+            inside[first] = True
+            groups[inside] = seed
+            free ^= inside
+            seed += 1
+    return torch.from_numpy(groups).to(points.device)
+
+
 def _squared_distance(points: Tensor, center: Tensor) -> Tensor:
-    """(D, N) and (D, 1) -> (N,), one axis after the other: no array as large as the points is made."""
+    """(D, ...) and (D, ...) that broadcast -> (...), axis by axis: no array as large as the points is made."""
     out = (points[0] - center[0]).square_()
     for axis in range(1, points.shape[0]):
         difference = points[axis] - center[axis]
