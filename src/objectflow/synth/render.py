@@ -124,7 +124,26 @@ class Renderer:
         )
 
     def _create_context(self, model: Any, worlds: int) -> Any:
-        context = self._tracer.create_render_context(
+        # The context steps the model once, as it was compiled; objects that overlap there are none of our business.
+        flags = int(model.opt.disableflags)
+        model.opt.disableflags = -1
+        try:
+            context = self._new_context(model, worlds)
+        finally:
+            model.opt.disableflags = flags
+        # These numbers are compiled into the kernel and differ from scene to scene; fixed ones that serve every scene
+        # spare a compilation each. The range only culls (0: not at all), and the rays are our own.
+        context.znear, context.zfar = 1.0, 0.0
+        context.headlight_active = False
+        context.headlight_ambient = context.headlight_diffuse = context.headlight_specular = self._warp.vec3(0.0)
+        context.light_attenuation_is_default, context.has_spot_lights = False, True
+        context.ray.assign(pixel_rays(model, self._width, self._height, self._samples))
+        # The kernel itself is kept too: making it anew leaks, even where its code is found compiled.
+        context._megakernel = self._kernels.get(_kernel_key(model, context))
+        return context
+
+    def _new_context(self, model: Any, worlds: int) -> Any:
+        return self._tracer.create_render_context(
             model,
             nworld=worlds,
             cam_res=(self._width, self._height),
@@ -140,16 +159,6 @@ class Renderer:
             shadow_light_fraction=LIT_IN_SHADOW,
             samples_per_pixel=round(self._samples**0.5),
         )
-        # These numbers are compiled into the kernel and differ from scene to scene; fixed ones that serve every scene
-        # spare a compilation each. The range only culls (0: not at all), and the rays are our own.
-        context.znear, context.zfar = 1.0, 0.0
-        context.headlight_active = False
-        context.headlight_ambient = context.headlight_diffuse = context.headlight_specular = self._warp.vec3(0.0)
-        context.light_attenuation_is_default, context.has_spot_lights = False, True
-        context.ray.assign(pixel_rays(model, self._width, self._height, self._samples))
-        # The kernel itself is kept too: making it anew leaks, even where its code is found compiled.
-        context._megakernel = self._kernels.get(_kernel_key(model, context))
-        return context
 
 
 def _kernel_key(model: Any, context: Any) -> Any:
