@@ -1,8 +1,8 @@
 """Seconds a frame of the ray-traced renderer, beside MuJoCo's own OpenGL one: `python benchmarks/render_frame.py`.
 
-Both draw the same scenes of the generator, at the same size: colour, depth and labels of two frames a scene, with the
-objects where the scene puts them. The OpenGL renderer runs in software (OSMesa), in a process of its own, and is left
-out where OSMesa is not installed. Every step is counted, from a compiled model to arrays in memory.
+Both draw the same scenes at the same size: colour, depth and labels of textured objects of the library that float
+above a floor, with three lights that cast shadows. The OpenGL renderer runs in software (OSMesa), in a process of its
+own, and is left out where OSMesa is not installed. Every step counts, from a compiled model to arrays in memory.
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ import tyro
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.spatial.transform import Rotation
 
 
 @dataclasses.dataclass
 class Settings:
-    """Times the rendering of generated scenes."""
+    """Times the rendering of scenes."""
 
     width: int = 320
     """Pixels; the height is three quarters of it."""
     scenes: int = 12
     """Scenes, after one to warm up."""
+    objects: int = 15
+    """Objects a scene."""
     frames: int = 2
     """Frames of each scene."""
     seed: int = 0
@@ -44,21 +47,64 @@ Scene = tuple[Any, NDArray[np.float64], NDArray[np.float64]]
 
 def make_scenes(settings: Settings) -> list[Scene]:
     """Models with world_T_objects (F, N, 4, 4) and world_T_cameras (1, 4, 4)."""
-    from objectflow.synth.mjcf import build_model
+    return [
+        make_scene(np.random.default_rng((settings.seed, number)), settings) for number in range(settings.scenes + 1)
+    ]
+
+
+def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
+    import mujoco
+
     from objectflow.synth.objects import open_library
-    from objectflow.synth.scene import SceneSettings, draw_scene
 
     library = open_library(None)
-    result = []
-    for number in range(settings.scenes + 1):
-        rng = np.random.default_rng((settings.seed, number))
-        scene, models = draw_scene(rng, library, "train", SceneSettings())
-        model = build_model(scene, models)
-        world_T_objects = np.repeat(scene.start_poses[None], settings.frames, axis=0)
-        # No two frames alike: each is a centimetre lower than the one before.
-        world_T_objects[..., 2, 3] -= 0.01 * np.arange(settings.frames)[:, None]
-        result.append((model, world_T_objects, scene.camera_poses))
-    return result
+    refs = library.refs("train")
+    spec = mujoco.MjSpec()
+    spec.visual.headlight.active = False
+    mesh, square = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtTexture.mjTEXTURE_2D
+    for number in range(settings.objects + 1):
+        texture = spec.add_texture(name=f"{number}", type=square, width=256, height=256, nchannel=3)
+        blocks = rng.integers(0, 256, (32, 32, 3), dtype=np.uint8)
+        texture.data = blocks.repeat(8, axis=0).repeat(8, axis=1).tobytes()
+        spec.add_material(name=f"{number}").textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"{number}"
+    world = spec.worldbody
+    world.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], material="0")
+    for number in range(4):
+        place = [*rng.uniform(-1, 1, 2), rng.uniform(1, 2)]
+        light = world.add_light(type=mujoco.mjtLightType.mjLIGHT_POINT, pos=place, active=number < 3, castshadow=True)
+        light.ambient, light.diffuse = [0.1] * 3, [0.3] * 3
+    poses = np.tile(np.eye(4), (settings.frames, settings.objects, 1, 1))
+    for number in range(1, settings.objects + 1):
+        model = library.load(refs[int(rng.integers(len(refs)))])
+        spec.add_mesh(
+            name=f"{number}",
+            uservert=model.vertices.astype(np.float32).ravel(),
+            userface=model.faces.ravel(),
+            usertexcoord=model.uv.astype(np.float32).ravel(),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        body = world.add_body(name=f"obj_{number}")
+        body.add_freejoint()
+        body.add_geom(type=mesh, meshname=f"{number}", material=f"{number}")
+        for part, points in enumerate(model.parts):
+            # Nobody sees the hulls, but a scene of the generator has them.
+            spec.add_mesh(name=f"{number}_{part}", uservert=points.astype(np.float32).ravel())
+            body.add_geom(type=mesh, meshname=f"{number}_{part}", group=3)
+        poses[:, number - 1, :3, :3] = Rotation.random(settings.frames, random_state=rng).as_matrix()
+        poses[:, number - 1, :3, 3] = rng.uniform((-0.15, -0.15, 0.03), (0.15, 0.15, 0.2), (settings.frames, 3))
+    # 0.55 m from the middle of the scene, half-way up.
+    camera = np.eye(4)
+    camera[:3, :3] = Rotation.from_euler("x", -135, degrees=True).as_matrix()
+    camera[:3, 3] = (0, -0.39, 0.44)
+    world.add_camera(
+        name="camera",
+        pos=camera[:3, 3],
+        xyaxes=[*camera[:3, 0], *-camera[:3, 1]],
+        resolution=[320, 240],
+        focal_pixel=[236.46] * 2,
+        sensor_size=[0.32, 0.24],
+    )
+    return spec.compile(), poses, camera[None]
 
 
 def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: int) -> tuple[float, float]:
@@ -98,11 +144,13 @@ def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[t
         with mujoco.Renderer(model, settings.width * 3 // 4, settings.width) as renderer:
             for poses in world_T_objects:
                 for number, pose in enumerate(poses, 1):
-                    joint = data.body(f"obj_{number}").jntadr[0]
+                    joint = model.body(f"obj_{number}").jntadr[0]
                     address = model.jnt_qposadr[joint]
                     data.qpos[address : address + 3] = pose[:3, 3]
                     mujoco.mju_mat2Quat(data.qpos[address + 3 : address + 7], pose[:3, :3].ravel())
-                mujoco.mj_forward(model, data)
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_camlight(model, data)
                 renderer.update_scene(data, camera="camera")
                 renderer.render()
                 renderer.enable_depth_rendering()
@@ -128,8 +176,8 @@ def main(settings: Settings) -> None:
         queue: multiprocessing.Queue[tuple[float, float] | str] = context.Queue()
         process = context.Process(target=time_opengl, args=(settings, samples, queue))
         process.start()
-        answer = queue.get()
         process.join()
+        answer = "it failed" if process.exitcode else queue.get()
         if isinstance(answer, str):
             notes.append(f"No figures for MuJoCo's OpenGL renderer: {answer}.")
         else:
