@@ -95,6 +95,18 @@ def test_frozen_normalisation_takes_every_pair_on_its_own() -> None:
         assert torch.allclose(together, alone, atol=1e-6, rtol=1e-4) is same
 
 
+def test_bfloat16_inside_gives_float32_maps_near_the_exact_ones() -> None:
+    network, frames = _network().eval(), _frames(32, 40)
+    exact = network(*frames)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        rough = network(*frames)
+    for one, other in zip(rough, exact, strict=True):
+        assert one.dtype == torch.float32
+        assert 0 < (one - other).norm() < 0.2 * other.norm()  # some 0.4% a layer, over 25 layers
+    sum(one.square().sum() for one in rough).backward()  # type: ignore[union-attr]
+    assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in network.parameters())
+
+
 def test_same_generator_same_network() -> None:
     first, second = _network().state_dict(), _network().state_dict()
     assert all(torch.equal(value, second[name]) for name, value in first.items())

@@ -102,5 +102,11 @@ class Heads(nn.Module):
         )
 
     def forward(self, x: Tensor) -> DenseMotion:
-        """All maps."""
+        """All maps; in float32 also where autocast would make them bfloat16, whose steps are millimetres."""
+        if torch.is_autocast_enabled(x.device.type):
+            with torch.autocast(x.device.type, enabled=False):
+                return self._apply_all(x.float())
+        return self._apply_all(x)
+
+    def _apply_all(self, x: Tensor) -> DenseMotion:
         return DenseMotion(**{name: self.maps[name](x) for name in DenseMotion._fields})
