@@ -22,6 +22,9 @@ from objectflow.errors import DatasetError
 WORST = 5
 """How many of the worst objects a report names."""
 
+LEAST_PIXELS = 30
+"""Compared pixels that an object needs to be among them: a median of fewer is that of a rim or a thin edge."""
+
 
 class Histogram:
     """Counts of values in bins of equal width, the last one open; quantiles to a bin's width, mean exactly."""
@@ -180,7 +183,7 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
     report.color.add(raw.color)
     for obj in both:
         mine, mine_reduced = raw.labels == obj.label, reduced.labels == obj.label
-        if mine.any() and mine_reduced.any():
+        if min(mine.sum(), mine_reduced.sum()) >= LEAST_PIXELS:
             report.worst.append(
                 ObjectErrors(
                     key=row.key,
