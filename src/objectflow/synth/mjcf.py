@@ -1,4 +1,4 @@
-"""A scene as a MuJoCo model: one for physics and pictures alike, so that what falls is what is seen."""
+"""The MuJoCo model of a scene: free bodies with convex hulls that collide and meshes that are seen."""
 
 from __future__ import annotations
 
@@ -6,131 +6,118 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from objectflow.errors import MissingExtraError
 from objectflow.synth.model import ObjectModel
-from objectflow.synth.scene import MAX_LIGHTS, PlacedObject, Scene
-from objectflow.synth.textures import draw_texture
+from objectflow.synth.recording import FRAME, FRICTION, GRAVITY, SUBSTEPS
+from objectflow.synth.scene_data import Scene, SceneObject
+from objectflow.synth.textures import TextureSpec, draw_texture
 
-VISIBLE, HULLS = 0, 3
-"""Groups of geoms: what is seen, and what collides."""
-STEPS_A_FRAME = 8
-FRAME_RATE = 60.0
-TEXTURE_SIZE, FLOOR_TEXTURE_SIZE = 256, 512
+FLOOR_HALF = 2.0
+"""Metres; what is seen of the floor ends there, so that depth stays finite. Nothing falls off: it collides further."""
+LIGHTS = 4
+"""Always as many, some of them dark: their number is compiled into the renderer's kernel."""
+VISIBLE_GROUP, SOLID_GROUP = 0, 3
+TEXTURE_SIZE, FLOOR_TEXTURE_SIZE = 128, 512
+"""Pixels a side: about one to a pixel of the image, for the renderer has no mip maps."""
 
 
 def import_mujoco() -> Any:
-    """The module, or an error that names the extra."""
+    """The `mujoco` module.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
     try:
         import mujoco
     except ImportError as error:
-        raise MissingExtraError('physics needs MuJoCo: pip install "objectflow[synth]"') from error
+        raise MissingExtraError('simulation needs MuJoCo: pip install "objectflow[synth]"') from error
     return mujoco
 
 
-def build_model(scene: Scene, models: Sequence[ObjectModel]) -> Any:
-    """The `mujoco.MjModel` of a scene.
-
-    One free body an object, obj_1 to obj_N in the scene's order, with its surface in group 0 and its convex parts,
-    which alone collide, in group 3; the geom `floor`; four lights; a camera `camera` at the first view's pose.
+def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = True, visible: bool = True) -> Any:
+    """Compile a scene.
 
     Args:
-        scene: what lies where.
-        models: of the scene's objects, in order.
+        scene: what to build.
+        models: its objects' models, in order.
+        solid: with collision hulls (group 3), which carry the mass.
+        visible: with surfaces (group 0), textures, lights, and a camera named `camera` with the scene's intrinsics.
+
+    Returns:
+        A `mujoco.MjModel` with one free body an object, named obj_1..obj_N, whose frames are the object frames.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+        DatasetError: a texture's picture cannot be read.
     """
     mujoco = import_mujoco()
     spec = mujoco.MjSpec()
-    spec.option.timestep = 1 / FRAME_RATE / STEPS_A_FRAME
-    # Elliptic cones and the implicit integrator keep piles at rest; nothing here is stiff enough to need more.
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.timestep = FRAME / SUBSTEPS
+    spec.option.gravity = [0, 0, -GRAVITY]
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.visual.headlight.active = False
-    _add_floor(mujoco, spec, scene)
-    _add_lights(mujoco, spec, scene)
-    _add_camera(spec, scene)
-    for number, (entry, model) in enumerate(zip(scene.objects, models, strict=True), 1):
-        _add_object(mujoco, spec, number, entry, model)
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    spec.visual.headlight.active = 0
+    if visible:
+        _add_surroundings(mujoco, spec, scene)
+    floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF, FLOOR_HALF, 0.1])
+    _make_solid(floor)
+    floor.group = VISIBLE_GROUP
+    if visible:
+        floor.material = "floor"
+    for number, (item, model) in enumerate(zip(scene.objects, models, strict=True), 1):
+        body = spec.worldbody.add_body(name=f"obj_{number}", pos=item.position, quat=item.quaternion)
+        body.add_freejoint()
+        if solid:
+            _add_hulls(mujoco, spec, body, number, item, model)
+        else:
+            # A body that moves needs a mass, though nothing is simulated with this one.
+            body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
+        if visible:
+            _add_surface(mujoco, spec, body, number, item, model)
     return spec.compile()
 
 
-def _add_floor(mujoco: Any, spec: Any, scene: Scene) -> None:
-    _add_material(mujoco, spec, "floor", draw_texture(scene.floor, FLOOR_TEXTURE_SIZE), 0.0)
-    material = spec.material("floor")
-    material.texrepeat = [1 / scene.floor_size] * 2
-    material.texuniform = True
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.1],
-        material="floor",
-        group=VISIBLE,
-        **_contact(),
-    )
+def _make_solid(geom: Any) -> None:
+    geom.group, geom.friction, geom.condim = SOLID_GROUP, [FRICTION, 0.005, 0.0001], 4
+    # Twice the time step is as stiff as MuJoCo's contacts can be.
+    geom.solref, geom.solimp = [2 * FRAME / SUBSTEPS, 1], [0.9, 0.98, 0.002, 0.5, 2]
 
 
-def _add_lights(mujoco: Any, spec: Any, scene: Scene) -> None:
-    for number in range(MAX_LIGHTS):
-        on = number < len(scene.lights)
-        spec.worldbody.add_light(
-            name=f"light_{number}",
-            type=mujoco.mjtLightType.mjLIGHT_POINT,
-            pos=scene.lights[number].position if on else (0.0, 0.0, 2.0),
-            dir=[0, 0, -1],
-            active=on,
-            castshadow=True,
-            attenuation=[1, 0, 0],
-            ambient=np.divide(scene.ambient, len(scene.lights)) if on else [0, 0, 0],
-            diffuse=scene.lights[number].color if on else [0, 0, 0],
-            specular=[0.3] * 3 if on else [0, 0, 0],
+def _add_hulls(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObject, model: ObjectModel) -> None:
+    for part, vertices in enumerate(model.parts):
+        name = f"hull_{number}_{part}"
+        spec.add_mesh(
+            name=name, uservert=_flat(vertices * item.scale), inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
         )
+        hull = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, density=item.density)
+        _make_solid(hull)
 
 
-def _add_camera(spec: Any, scene: Scene) -> None:
-    camera = scene.camera
-    width, height = int(camera["width"]), int(camera["height"])
-    pose = scene.camera_poses[0]
-    world_R_camera = pose[:3, :3] @ np.diag([1.0, -1.0, -1.0])  # MuJoCo looks along -z, with y up
-    spec.worldbody.add_camera(
-        name="camera",
-        pos=pose[:3, 3],
-        xyaxes=np.concatenate([world_R_camera[:, 0], world_R_camera[:, 1]]),
-        resolution=[width, height],
-        focal_pixel=[camera["fx"], camera["fy"]],
-        sensor_size=[width * 1e-5, height * 1e-5],
-        principal_pixel=[(width - 1) / 2 - camera["cx"], (height - 1) / 2 - camera["cy"]],
-    )
-
-
-def _add_object(mujoco: Any, spec: Any, number: int, entry: PlacedObject, model: ObjectModel) -> None:
-    body = spec.worldbody.add_body(name=f"obj_{number}", pos=entry.position, quat=entry.quaternion)
-    body.add_freejoint()
-    picture = model.texture if entry.texture.kind == "model" else draw_texture(entry.texture, TEXTURE_SIZE)
-    if picture is None:
-        raise ValueError(f"{model.name} has no picture of its own")
-    _add_material(mujoco, spec, f"surface_{number}", picture, entry.shininess)
+def _add_surface(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObject, model: ObjectModel) -> None:
+    name = f"surface_{number}"
+    uv = np.stack([model.uv[:, 0], 1 - model.uv[:, 1]], axis=1)  # MuJoCo's v runs downwards
     spec.add_mesh(
-        name=f"surface_{number}",
-        uservert=model.vertices.astype(np.float32).ravel(),
+        name=name,
+        uservert=_flat(model.vertices * item.scale),
         userface=model.faces.astype(np.int32).ravel(),
-        usertexcoord=model.uv.astype(np.float32).ravel(),
+        usertexcoord=_flat(uv),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=f"surface_{number}",
-        material=f"surface_{number}",
-        group=VISIBLE,
-        contype=0,
-        conaffinity=0,
-        density=0,
-    )
-    for position, points in enumerate(model.parts):
-        name = f"hull_{number}_{position}"
-        spec.add_mesh(name=name, uservert=points.astype(np.float32).ravel())
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=HULLS, density=entry.density, **_contact())
+    picture = model.texture if item.texture.kind == "model" else draw_texture(item.texture, TEXTURE_SIZE)
+    if picture is None:
+        picture = draw_texture(TextureSpec("plain"), TEXTURE_SIZE)
+    _add_material(mujoco, spec, name, picture, item.specular, item.shininess)
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP)
+    geom.contype = geom.conaffinity = 0
+    geom.mass = 0
 
 
-def _add_material(mujoco: Any, spec: Any, name: str, picture: Any, shininess: float) -> None:
+def _add_material(
+    mujoco: Any, spec: Any, name: str, picture: NDArray[np.uint8], specular: float, shininess: float
+) -> Any:
     texture = spec.add_texture(
         name=name,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -138,12 +125,43 @@ def _add_material(mujoco: Any, spec: Any, name: str, picture: Any, shininess: fl
         height=picture.shape[0],
         nchannel=3,
     )
-    # MuJoCo's first row is v = 0, pictures' first row is the top.
-    texture.data = np.ascontiguousarray(picture[::-1]).tobytes()
-    material = spec.add_material(name=name, specular=0.5 * shininess, shininess=shininess)
+    texture.data = np.ascontiguousarray(picture).tobytes()
+    material = spec.add_material(name=name, specular=specular, shininess=shininess)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return material
 
 
-def _contact() -> dict[str, Any]:
-    """Friction 1 as in the paper; stiff enough that a ball dropped into a mug does not sink through its floor."""
-    return {"friction": [1.0, 0.005, 0.0005], "condim": 4, "solref": [0.005, 1.0], "margin": 0.0}
+def _add_surroundings(mujoco: Any, spec: Any, scene: Scene) -> None:
+    floor = scene.floor
+    picture = draw_texture(floor.texture, FLOOR_TEXTURE_SIZE)
+    material = _add_material(mujoco, spec, "floor", picture, floor.specular, floor.shininess)
+    material.texrepeat = [2 * FLOOR_HALF / floor.tile] * 2
+    for number in range(LIGHTS):
+        lit = number < len(scene.lights)
+        lamp = scene.lights[number if lit else 0]
+        spec.worldbody.add_light(
+            name=f"light_{number}",
+            type=mujoco.mjtLightType.mjLIGHT_POINT,
+            active=lit,
+            castshadow=True,
+            pos=lamp.position,
+            dir=[0, 0, -1],
+            attenuation=[1, 0, 0],
+            diffuse=lamp.diffuse,
+            specular=lamp.specular,
+            ambient=lamp.ambient,
+        )
+    camera = scene.intrinsics
+    pixel = 1e-4  # metres; only ratios count
+    spec.worldbody.add_camera(
+        name="camera",
+        resolution=[camera.width, camera.height],
+        focal_pixel=[camera.fx, camera.fy],
+        sensor_size=[camera.width * pixel, camera.height * pixel],
+        # MuJoCo counts from the image's middle, and the other way round.
+        principal_pixel=[(camera.width - 1) / 2 - camera.cx, (camera.height - 1) / 2 - camera.cy],
+    )
+
+
+def _flat(values: NDArray[np.float64]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, dtype=np.float32).ravel()

@@ -1,0 +1,47 @@
+"""Simulation with MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.geometry import make_transform
+from objectflow.synth.mjcf import build_model, import_mujoco
+from objectflow.synth.model import ObjectModel
+from objectflow.synth.recording import ANGULAR_DAMPING, FRAME, LINEAR_DAMPING, SUBSTEPS, Recording
+from objectflow.synth.scene_data import Scene
+
+
+def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
+    """Simulate frames 0 to `last`.
+
+    Raises:
+        MissingExtraError: MuJoCo is not installed.
+    """
+    mujoco = import_mujoco()
+    model = build_model(scene, models, visible=False)
+    data = mujoco.MjData(model)
+    count = len(scene.objects)
+    # Bullet's damping, applied to the velocities as Bullet does: MuJoCo's own is a force, in other units, and would
+    # depend on each body's inertia.
+    step = FRAME / SUBSTEPS
+    keep = np.tile([(1 - LINEAR_DAMPING) ** step] * 3 + [(1 - ANGULAR_DAMPING) ** step] * 3, count)
+    poses, depth, energy = np.empty((last + 1, count, 4, 4)), np.zeros(last + 1), np.empty(last + 1)
+    for frame in range(last + 1):
+        if frame:
+            for _ in range(SUBSTEPS):
+                mujoco.mj_step(model, data)
+                data.qvel *= keep
+        mujoco.mj_forward(model, data)
+        poses[frame] = _poses(data, count)
+        depth[frame] = max(0.0, -float(data.contact.dist.min(initial=0.0)))
+        energy[frame] = data.energy.sum()
+    return Recording(poses, depth, energy)
+
+
+def _poses(data: Any, count: int) -> NDArray[np.float64]:
+    """(N, 4, 4): every body but the world is an object."""
+    return make_transform(data.xmat[1 : count + 1].reshape(-1, 3, 3), data.xpos[1 : count + 1])
