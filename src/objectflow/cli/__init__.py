@@ -43,6 +43,9 @@ VERBS: dict[str, VerbEntry] = {
     ),
     "run": VerbEntry("the same for every consecutive pair of a sequence", "objectflow.cli.run", "Run"),
     "demo": VerbEntry("the pair that comes with the package, compared with its truth", "objectflow.cli.demo", "Demo"),
+    "generate": VerbEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
+    "check": VerbEntry("verify a data set and say what is in it", "objectflow.cli.check", "Check"),
+    "show": VerbEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
     "methods": VerbEntry("every method with one line each", "objectflow.cli.methods", "Methods"),
     "info": VerbEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
 }

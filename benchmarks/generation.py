@@ -1,0 +1,124 @@
+"""Pairs a second of the generator, each stage's share, and its memory: `python benchmarks/generation.py`.
+
+Everything counts from a scene's number to encoded rows; writing shards is left out. Each worker makes two scenes to
+warm up (kernels are compiled on a machine's first run, and loaded on every run) before the clock starts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import platform
+import resource
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from objectflow.synth.maker import Scenes
+from objectflow.synth.scene import SceneSettings
+from objectflow.synth.workers import InProcess, Processes, SceneRows, Task
+
+WARM_UP = 2
+"""Scenes a worker."""
+
+
+@dataclasses.dataclass
+class Settings:
+    """Times the generator on the paper's scenes."""
+
+    scenes: int = 60
+    """Scenes that are timed, for each row of the table."""
+    workers: int = 2
+    """Processes."""
+    views: tuple[int, ...] = (1, 4)
+    """Pairs taken of one scene."""
+    samples: tuple[int, ...] = (1, 4)
+    """Colour samples a pixel."""
+    lights: tuple[int, int] = (3, 3)
+    """Lights with shadows, from and to."""
+    memory_scenes: int = 0
+    """Also make this many scenes in one process, and watch its memory; 1000 takes a quarter of an hour."""
+    device: str = "cpu"
+    """Where pictures are rendered: cpu or cuda."""
+    seed: int = 0
+    """Of the scenes."""
+
+
+def tasks(first: int, count: int) -> Iterator[Task]:
+    return (Task("pairs", scene) for scene in range(first, first + count))
+
+
+def make_factory(settings: Settings, samples: int, views: int) -> Scenes:
+    return Scenes(
+        seed=settings.seed,
+        split="train",
+        settings=SceneSettings(lights=settings.lights),
+        views=views,
+        samples=samples,
+        device="cuda" if settings.device == "cuda" else "cpu",
+    )
+
+
+def time_scenes(settings: Settings, samples: int, views: int) -> tuple[float, list[SceneRows]]:
+    """Pairs a second, and what was made."""
+    pool = Processes(make_factory(settings, samples, views), settings.workers)
+    try:
+        warm_up = WARM_UP * settings.workers
+        for _ in pool.run(tasks(settings.scenes, warm_up)):
+            pass
+        start = time.perf_counter()
+        made = list(pool.run(tasks(0, settings.scenes)))
+        seconds = time.perf_counter() - start
+    finally:
+        pool.close()
+    return sum(len(scene.rows) for scene in made) / seconds, made
+
+
+def watch_memory(settings: Settings) -> list[tuple[int, float]]:
+    """(scenes made, resident megabytes) at eleven moments, the first after a tenth of the scenes."""
+    pool = InProcess(make_factory(settings, 1, 1))
+    seen = []
+    step = max(1, settings.memory_scenes // 10)
+    for number, _ in enumerate(pool.run(tasks(0, settings.memory_scenes)), 1):
+        if number % step == 0:
+            seen.append((number, resident_megabytes()))
+    return seen
+
+
+def resident_megabytes() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def main() -> None:
+    settings = tyro.cli(Settings, description=__doc__)
+    console = Console(highlight=False)
+    console.print(f"{platform.machine()}, {os.cpu_count()} cores, {settings.workers} workers, {settings.device}")
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("samples", "views", "pairs/s", "s a scene", "rows"):
+        table.add_column(name, justify="right")
+    table.add_column("share of the time")
+    for views in settings.views:
+        for samples in settings.samples:
+            rate, made = time_scenes(settings, samples, views)
+            spent: dict[str, float] = {}
+            for scene in made:
+                for stage, seconds in scene.seconds.items():
+                    spent[stage] = spent.get(stage, 0.0) + seconds
+            total = sum(spent.values())
+            shares = ", ".join(f"{stage} {100 * seconds / total:.0f}%" for stage, seconds in spent.items())
+            rows = sum(len(scene.rows) for scene in made)
+            table.add_row(str(samples), str(views), f"{rate:.2f}", f"{total / len(made):.2f}", str(rows), shares)
+    console.print(table)
+    if settings.memory_scenes:
+        seen = watch_memory(settings)
+        console.print("resident MB after scenes: " + ", ".join(f"{number}: {size:.0f}" for number, size in seen))
+        console.print(f"last against first: {seen[-1][1] / seen[0][1]:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""`objectflow show`: one row of a data set as a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+from tyro.conf import Positional
+
+from objectflow import files
+from objectflow.cli.arguments import option
+from objectflow.dataset.manifest import Manifest
+from objectflow.dataset.shards import open_pairs, open_sequences
+from objectflow.dataset.show import draw_frames, draw_pair
+from objectflow.errors import DatasetError
+
+EXAMPLES = """\
+  objectflow show data --key train-000012
+  objectflow show data --key test-000003 --out sequence.png
+"""
+
+
+@dataclass(frozen=True)
+class Show:
+    """Draw a row: both frames, depth, labels, flow and centres; or all frames of a sequence."""
+
+    data: Annotated[Positional[Path], option("DIR")]
+    """Folder of the data set."""
+
+    key: str
+    """The pair's key, or the sequence's name."""
+
+    out: Path | None = None
+    """Picture to write; KEY.png if not given."""
+
+    def run(self) -> None:
+        """Find the row and draw it."""
+        manifest = Manifest.read(self.data)
+        split = self.key.split("-")[0]
+        picture = None
+        for part in manifest.parts.values():
+            if part.split != split:
+                continue
+            if part.kind == "pairs":
+                pairs = open_pairs(self.data, split)
+                if self.key in pairs.keys():  # noqa: SIM118
+                    picture = draw_pair(pairs[pairs.find(self.key)])
+            else:
+                frames = open_sequences(self.data, split)
+                rows = [i for i, key in enumerate(frames.keys()) if key.split("/")[0] == self.key]
+                if rows and picture is None:
+                    picture = draw_frames([frames[i] for i in rows])
+        if picture is None:
+            raise DatasetError(f"{self.data}: no row {self.key!r}: keys look like {split or 'train'}-000012")
+        out = self.out or Path(f"{self.key}.png")
+        done, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        if not done:
+            raise DatasetError(f"{out}: the picture cannot be encoded")
+        files.write_bytes(out, png.tobytes())
+        print(f"written to {out}")

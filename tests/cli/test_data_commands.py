@@ -1,0 +1,91 @@
+"""`generate`, `check` and `show`: real scenes, small ones, through the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from objectflow.cli import main
+from objectflow.dataset.shards import open_pairs, open_sequences
+
+pytest.importorskip("mujoco_warp", reason="generating needs the extra [synth]")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("data") / "set"
+    words = ["generate", "--out", str(folder), "--preset", "small", "--pairs", "3", "--workers", "1", "--split", "val"]
+    assert main(words) == 0
+    return folder
+
+
+def test_pairs_warp_onto_each_other(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", str(data), "--json"]) == 0
+    (report,) = json.loads(capsys.readouterr().out)
+    assert report["rows"] == 3
+    assert report["wrong"] == []
+    assert report["depth_mm"]["count"] > 500
+    assert report["depth_mm"]["median"] < 1
+
+
+def test_two_workers_make_the_same_bytes(data: Path, tmp_path: Path) -> None:
+    words = ["generate", "--preset", "small", "--pairs", "3", "--workers", "2", "--split", "val"]
+    assert main([*words, "--out", str(tmp_path / "two")]) == 0
+    for path in sorted(data.iterdir()):
+        assert (tmp_path / "two" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_views_are_siblings_and_sequences_have_eight_frames(tmp_path: Path) -> None:
+    words = ["generate", "--preset", "small", "--workers", "1", "--split", "test", "--out", str(tmp_path / "set")]
+    assert main([*words, "--pairs", "2", "--views", "2", "--sequences", "1"]) == 0
+    first, second = open_pairs(tmp_path / "set", "test")
+    assert first.scene == second.scene
+    assert first.key != second.key
+    assert not np.array_equal(first.curr.color, second.curr.color)
+    rows = list(open_sequences(tmp_path / "set", "test"))
+    assert [row.frame for row in rows] == [20, 30, 40, 50, 60, 70, 80, 90]
+
+
+def test_show_draws_a_row_and_names_the_keys_there_are(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "row.png"
+    assert main(["show", str(data), "--key", "val-000001", "--out", str(picture)]) == 0
+    assert picture.stat().st_size > 10_000
+    capsys.readouterr()
+    assert main(["show", str(data), "--key", "val-000099", "--out", str(tmp_path / "none.png")]) == 2
+    assert "val-000099" in capsys.readouterr().err
+    assert not (tmp_path / "none.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--pairs", "1", "--split", "dev"], "unknown split 'dev': choose one of train, val, test"),
+        (["--pairs", "1", "--preset", "huge"], "unknown preset 'huge': choose one of paper, small"),
+        ([], "nothing to generate"),
+        (["--pairs", "1", "--shard", "5/2"], "1 <= i <= n"),
+        (["--pairs", "1", "--shard", "one"], "must be i/n"),
+        (["--pairs", "1", "--mesh-folder", "."], "mesh"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["generate", "--out", str(tmp_path / "set"), "--workers", "1", *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_seed_is_refused_and_nothing_is_lost(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = {path.name: path.read_bytes() for path in data.iterdir()}
+    words = ["generate", "--out", str(data), "--preset", "small", "--pairs", "3", "--workers", "1", "--split", "val"]
+    assert main([*words, "--seed", "7"]) == 2
+    assert "holds shards of seed 0, not 7" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in data.iterdir()} == before
