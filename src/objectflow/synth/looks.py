@@ -12,19 +12,22 @@ import numpy as np
 from objectflow.synth.scene_data import Floor, Light
 from objectflow.synth.textures import FLOOR_KINDS, OBJECT_KINDS, Rgb, TextureSpec
 
-_TONES: dict[str, tuple[tuple[float, float], tuple[float, float], tuple[float, float]]] = {
+Tone = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+_TONES: dict[str, Tone] = {
     "wood": ((0.04, 0.12), (0.25, 0.65), (0.35, 0.8)),
     "tiles": ((0.0, 1.0), (0.02, 0.3), (0.5, 0.95)),
     "gravel": ((0.05, 0.15), (0.05, 0.3), (0.4, 0.8)),
 }
 """Ranges of hue, saturation and value of floors that have colours of their own."""
-_ANY = ((0.0, 1.0), (0.1, 0.85), (0.3, 0.95))
+_FLOOR: Tone = ((0.0, 1.0), (0.02, 0.5), (0.35, 0.9))
+_OBJECT: Tone = ((0.0, 1.0), (0.05, 0.85), (0.35, 0.97))
 
 
 def draw_surface(rng: np.random.Generator, own_texture: bool) -> tuple[TextureSpec, float, float]:
     """An object's texture, specular share and shininess; dull and shiny things are as many."""
     kind = OBJECT_KINDS[int(rng.choice(len(OBJECT_KINDS), p=(0.35, 0.2, 0.2, 0.25)))]
-    spec = TextureSpec(kind, int(rng.integers(2**31)), _colors(rng, _ANY), int(rng.integers(2, 6)))
+    spec = TextureSpec(kind, int(rng.integers(2**31)), _colors(rng, _OBJECT), int(rng.integers(2, 6)))
     if own_texture:
         spec = TextureSpec("model")
     shiny = rng.random() < 0.5
@@ -42,7 +45,7 @@ def draw_floor(rng: np.random.Generator, images: Sequence[Path], image_share: fl
         tile = rng.uniform(0.5, 1.2)
     else:
         kind = FLOOR_KINDS[int(rng.integers(len(FLOOR_KINDS)))]
-        colors = _colors(rng, _TONES.get(kind, _ANY))
+        colors = _colors(rng, _TONES.get(kind, _FLOOR))
         texture = TextureSpec(kind, int(rng.integers(2**31)), colors, int(rng.integers(3, 8)))
         tile = rng.uniform(0.4, 1.0)
     return Floor(texture, float(tile), float(rng.uniform(0, 0.2)), float(rng.uniform(0.05, 0.5)))
@@ -51,8 +54,8 @@ def draw_floor(rng: np.random.Generator, images: Sequence[Path], image_share: fl
 def draw_lights(rng: np.random.Generator, count: tuple[int, int]) -> tuple[Light, ...]:
     """Lamps around the scene, warm to cold, of different energies that make a picture neither dark nor white."""
     number = int(rng.integers(count[0], count[1] + 1))
-    energies = rng.dirichlet(np.full(number, 2.0)) * rng.uniform(0.55, 1.0)
-    ambient = rng.uniform(0.12, 0.35) / number
+    energies = rng.dirichlet(np.full(number, 2.0)) * rng.uniform(0.7, 1.15)
+    ambient = rng.uniform(0.15, 0.35) / number
     lights = []
     for energy in energies:
         azimuth, elevation = rng.uniform(0, 2 * math.pi), math.radians(rng.uniform(35, 85))
@@ -66,14 +69,18 @@ def draw_lights(rng: np.random.Generator, count: tuple[int, int]) -> tuple[Light
     return tuple(lights)
 
 
-def _colors(rng: np.random.Generator, tone: tuple[tuple[float, float], ...]) -> tuple[Rgb, Rgb, Rgb]:
-    """Three colours of one range of tones."""
-    return _color(rng, tone), _color(rng, tone), _color(rng, tone)
-
-
-def _color(rng: np.random.Generator, tone: tuple[tuple[float, float], ...]) -> Rgb:
+def _colors(rng: np.random.Generator, tone: Tone) -> tuple[Rgb, Rgb, Rgb]:
+    """Three colours that go together, as people choose them: two of neighbouring hues, and a neutral or a contrast."""
     hue, saturation, value = (float(rng.uniform(*limits)) for limits in tone)
-    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue, saturation, value))
+    near = hue + float(rng.uniform(-0.07, 0.07))
+    darker = value * float(rng.uniform(0.5, 0.9)) if value > 0.5 else min(1.0, value * float(rng.uniform(1.3, 2.2)))
+    contrast = float(rng.uniform(0.0, 1.0))
+    accent = (contrast, 0.05, contrast) if rng.random() < 0.6 else (hue + 0.5, saturation, value)
+    return _rgb(hue, saturation, value), _rgb(near, saturation, darker), _rgb(*accent)
+
+
+def _rgb(hue: float, saturation: float, value: float) -> Rgb:
+    red, green, blue = (round(255 * part) for part in colorsys.hsv_to_rgb(hue % 1, saturation, value))
     return red, green, blue
 
 

@@ -97,7 +97,8 @@ def draw_scene_and_models(
     count = int(rng.integers(settings.objects[0], settings.objects[1] + 1))
     models = tuple(_load(rng, library, split, skip) for _ in range(count))
     scales = [_draw_scale(rng, model, settings) for model in models]
-    rotations = Rotation.random(count, rng=rng)
+    # Normal coordinates in four dimensions have no direction that they prefer, so neither have the rotations.
+    rotations = Rotation.from_quat(rng.normal(size=(count, 4)))
     centers = _draw_start(rng, models, scales, rotations.as_matrix(), settings)
     objects = []
     for model, scale, quaternion, position in zip(
