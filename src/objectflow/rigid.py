@@ -195,12 +195,8 @@ def _normal_equations(
     """The 6x6 system of the depth and the colour terms at T."""
     camera = target.camera
     points = geometry.transform(T, source.points)
-    pixels = geometry.project(points, camera)
-    with np.errstate(invalid="ignore"):
-        column, row = np.rint(pixels[:, 0]), np.rint(pixels[:, 1])
-        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    pixels, inside, index = _nearest_pixels(points, camera)
     points, pixels = points[inside], pixels[inside]
-    index = row[inside].astype(int), column[inside].astype(int)
     surface, normal = target.points[index], target.normals[index]
     offset = points - surface
     sigma = depth_sigma(points[:, 2])
@@ -230,6 +226,17 @@ def _normal_equations(
     return H, b
 
 
+def _nearest_pixels(
+    points: Floats, camera: Camera
+) -> tuple[Floats, NDArray[np.bool_], tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """(N, 2) where points fall, (N,) which lie on the image, and the rows and columns of those that do."""
+    pixels = geometry.project(points, camera)
+    with np.errstate(invalid="ignore"):
+        column, row = np.rint(pixels[:, 0]), np.rint(pixels[:, 1])
+        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    return pixels, inside, (row[inside].astype(np.intp), column[inside].astype(np.intp))
+
+
 def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array, Array]:
     """The 6x6 system of the matches' own distances at T."""
     p = geometry.transform(T, matches.curr.astype(np.float64))
@@ -244,11 +251,7 @@ def judge(target: Target, source: Source, T: Array) -> Refined:
     """How well a motion explains the points that the previous frame sees; see `Refined`."""
     camera = target.camera
     points = geometry.transform(T, source.points)
-    pixels = geometry.project(points, camera)
-    with np.errstate(invalid="ignore"):
-        column, row = np.rint(pixels[:, 0]), np.rint(pixels[:, 1])
-        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    index = row[inside].astype(int), column[inside].astype(int)
+    _, inside, index = _nearest_pixels(points, camera)
     offset = points[inside] - target.points[index]
     sigma = depth_sigma(points[inside, 2])
     seen = np.isfinite(offset[:, 2]) & (offset[:, 2] < 3 * sigma + 0.01)
