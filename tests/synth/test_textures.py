@@ -74,7 +74,7 @@ def test_pictures_of_a_folder(tmp_path: Path) -> None:
 
     assert list_images(tmp_path) == [tmp_path / "b.png"]
     drawn = draw_texture(TextureSpec("image", path=str(tmp_path / "b.png")), 16)
-    np.testing.assert_array_equal(drawn, np.broadcast_to(np.uint8([255, 0, 0]), (16, 16, 3)))
+    np.testing.assert_array_equal(drawn, np.full((16, 16, 3), (255, 0, 0)))
 
 
 def test_bad_input_is_named(tmp_path: Path) -> None:
