@@ -1,7 +1,8 @@
 """Pairs a second of the generator, each stage's share, and its memory: `python benchmarks/generation.py`.
 
 Everything counts from a scene's number to encoded rows; writing shards is left out. Each worker makes two scenes to
-warm up (kernels are compiled on a machine's first run, and loaded on every run) before the clock starts.
+warm up (kernels are compiled on a machine's first run, and loaded on every run) before the clock starts. The seconds
+of CPU a pair tell what a machine that is busy with other things would do without them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from rich.table import Table
 
 from objectflow.synth.maker import Scenes
 from objectflow.synth.scene import SceneSettings
-from objectflow.synth.workers import InProcess, Processes, SceneRows, Task
+from objectflow.synth.workers import InProcess, Maker, Processes, SceneRows, Task
 
 WARM_UP = 2
 """Scenes a worker."""
@@ -48,6 +49,24 @@ class Settings:
     """Of the scenes."""
 
 
+@dataclasses.dataclass(frozen=True)
+class CountingCpu:
+    """A factory whose makers also say how many seconds of CPU a scene took."""
+
+    factory: Scenes
+
+    def __call__(self) -> Maker:
+        """The maker that counts."""
+        maker = self.factory()
+
+        def make(task: Task) -> SceneRows:
+            start = time.process_time()
+            made = maker(task)
+            return dataclasses.replace(made, seconds={**made.seconds, "cpu": time.process_time() - start})
+
+        return make
+
+
 def tasks(first: int, count: int) -> Iterator[Task]:
     return (Task("pairs", scene) for scene in range(first, first + count))
 
@@ -65,7 +84,7 @@ def make_factory(settings: Settings, samples: int, views: int) -> Scenes:
 
 def time_scenes(settings: Settings, samples: int, views: int) -> tuple[float, list[SceneRows]]:
     """Pairs a second, and what was made."""
-    pool = Processes(make_factory(settings, samples, views), settings.workers)
+    pool = Processes(CountingCpu(make_factory(settings, samples, views)), settings.workers)
     try:
         warm_up = WARM_UP * settings.workers
         for _ in pool.run(tasks(settings.scenes, warm_up)):
@@ -96,10 +115,10 @@ def resident_megabytes() -> float:
 
 def main() -> None:
     settings = tyro.cli(Settings, description=__doc__)
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=120)
     console.print(f"{platform.machine()}, {os.cpu_count()} cores, {settings.workers} workers, {settings.device}")
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("samples", "views", "pairs/s", "s a scene", "rows"):
+    for name in ("samples", "views", "pairs/s", "CPU s a pair", "pairs"):
         table.add_column(name, justify="right")
     table.add_column("share of the time")
     for views in settings.views:
@@ -109,10 +128,10 @@ def main() -> None:
             for scene in made:
                 for stage, seconds in scene.seconds.items():
                     spent[stage] = spent.get(stage, 0.0) + seconds
+            cpu, rows = spent.pop("cpu"), sum(len(scene.rows) for scene in made)
             total = sum(spent.values())
             shares = ", ".join(f"{stage} {100 * seconds / total:.0f}%" for stage, seconds in spent.items())
-            rows = sum(len(scene.rows) for scene in made)
-            table.add_row(str(samples), str(views), f"{rate:.2f}", f"{total / len(made):.2f}", str(rows), shares)
+            table.add_row(str(samples), str(views), f"{rate:.2f}", f"{cpu / rows:.2f}", str(rows), shares)
     console.print(table)
     if settings.memory_scenes:
         seen = watch_memory(settings)

@@ -124,6 +124,8 @@ class Generate:
                 pool.close()
         for note in sorted(notes):
             console.print(note, markup=False)
+        if notes:
+            console.print(f"{len(notes)} models could not be used")
         if manifest is None:
             console.print(f"{self.out}: this run's shards are done; other runs of the queue still have theirs to make")
             return

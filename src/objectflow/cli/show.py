@@ -38,22 +38,21 @@ class Show:
     def run(self) -> None:
         """Find the row and draw it."""
         manifest = Manifest.read(self.data)
-        split = self.key.split("-")[0]
-        picture = None
+        picture, known = None, list[str]()
         for part in manifest.parts.values():
-            if part.split != split:
-                continue
             if part.kind == "pairs":
-                pairs = open_pairs(self.data, split)
-                if self.key in pairs.keys():  # noqa: SIM118
-                    picture = draw_pair(pairs[pairs.find(self.key)])
+                pairs = open_pairs(self.data, part.split)
+                known += (keys := pairs.keys())
+                if self.key in keys:
+                    picture = draw_pair(pairs[keys.index(self.key)])
             else:
-                frames = open_sequences(self.data, split)
-                rows = [i for i, key in enumerate(frames.keys()) if key.split("/")[0] == self.key]
-                if rows and picture is None:
-                    picture = draw_frames([frames[i] for i in rows])
+                frames = open_sequences(self.data, part.split)
+                sequences = [key.split("/")[0] for key in frames.keys()]  # noqa: SIM118
+                known += dict.fromkeys(sequences)
+                if self.key in sequences and picture is None:
+                    picture = draw_frames([frames[i] for i, name in enumerate(sequences) if name == self.key])
         if picture is None:
-            raise DatasetError(f"{self.data}: no row {self.key!r}: keys look like {split or 'train'}-000012")
+            raise DatasetError(f"{self.data}: no row {self.key!r}; there is {known[0]} to {known[-1]}")
         out = self.out or Path(f"{self.key}.png")
         done, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
         if not done:

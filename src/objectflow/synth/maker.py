@@ -68,12 +68,15 @@ class Scenes:
         library = open_library(self.mesh_folder)
         renderer = Renderer(self.settings.width, self.settings.height, samples=self.samples, device=self.device)
         settings = dataclasses.replace(self.settings, images=self.texture_folder)
+        # What a mesh folder has sorted out already; the procedural library has nothing broken.
+        found: dict[str, str] = getattr(library, "broken", {})
+        broken = [f"{name}: skipped: {reason}" for name, reason in sorted(found.items())]
 
         def make(task: Task) -> SceneRows:
             key = (SPLITS.index(self.split), 0 if task.kind == "pairs" else 1, task.scene)
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
             rejected: dict[str, int] = {}
-            skipped: list[str] = []
+            skipped = list(broken)
             seconds = {"draw": 0.0, "build": 0.0, "physics": 0.0, "render": 0.0, "encode": 0.0}
             clock = _Clock(seconds)
             for _ in range(MAX_DRAFTS):
