@@ -73,8 +73,9 @@ class Scenes:
         broken = [f"{name}: skipped: {reason}" for name, reason in sorted(found.items())]
 
         def make(task: Task) -> SceneRows:
-            key = (SPLITS.index(self.split), 0 if task.kind == "pairs" else 1, task.scene)
-            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
+            # (split, index); a split's sequences count as a split of their own, or they would be its pairs' scenes.
+            part = SPLITS.index(self.split) + (0 if task.kind == "pairs" else len(SPLITS))
+            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, task.scene)))
             rejected: dict[str, int] = {}
             skipped = list(broken)
             seconds = {"draw": 0.0, "build": 0.0, "physics": 0.0, "render": 0.0, "encode": 0.0}
