@@ -54,8 +54,11 @@ def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
             file = Path(folder) / f"{i}.obj"
             file.write_text("".join(_wavefront(parts)))
             bodies.append(_add_object(bullet, world, file, float(mass[i]), world_T_mass[i]))
-        for body, diagonal in zip(bodies, inertial.body_inertia[1:], strict=True):
-            bullet.changeDynamics(body, -1, localInertiaDiagonal=diagonal.tolist(), physicsClientId=world)
+        for body, weight, diagonal in zip(bodies, mass, inertial.body_inertia[1:], strict=True):
+            # Bullet's own guess is that of the shape's box. (Without its mass beside it, the body would lose it.)
+            bullet.changeDynamics(
+                body, -1, mass=float(weight), localInertiaDiagonal=diagonal.tolist(), physicsClientId=world
+            )
         poses, depth, energy = np.empty((last + 1, len(bodies), 4, 4)), np.zeros(last + 1), np.empty(last + 1)
         for frame in range(last + 1):
             if frame:
@@ -104,6 +107,8 @@ def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T
         shape,
         basePosition=world_T_mass[:3, 3].tolist(),
         baseOrientation=Rotation.from_matrix(world_T_mass[:3, :3]).as_quat().tolist(),
+        # A rigid body proper: bodies in reduced coordinates, the default, are damped by another formula.
+        useMaximalCoordinates=True,
         physicsClientId=world,
     )
     bullet.changeDynamics(
