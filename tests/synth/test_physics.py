@@ -228,6 +228,16 @@ def test_the_model_of_a_scene() -> None:
     assert dataclasses.astuple(camera) == pytest.approx(dataclasses.astuple(scene.intrinsics), abs=1e-4)
 
 
+@pytest.mark.parametrize("part", [CORNERS * (0.05, 0.03, 0), CORNERS[:2], CORNERS * np.nan])
+def test_a_part_that_is_no_solid_is_named(part: NDArray[np.float64]) -> None:
+    good = box_model(0.05, 0.03, 0.02)
+    bad = dataclasses.replace(good, name="chairs/flat.obj", parts=(*good.parts, part))
+    scene = scene_of(place(good, (0, 0, 0.2)), place(bad, (0.3, 0, 0.2)))
+    with pytest.raises(DatasetError, match=r"cannot build the model chairs/flat\.obj: ") as raised:
+        build_model(scene, [good, bad])
+    assert "\n" not in str(raised.value)
+
+
 def groups(model: Any) -> dict[int, int]:
     values, counts = np.unique(model.geom_group, return_counts=True)
     return dict(zip(values.tolist(), counts.tolist(), strict=True))

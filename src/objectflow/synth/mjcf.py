@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.errors import MissingExtraError
+from objectflow.errors import DatasetError, MissingExtraError
 from objectflow.synth.model import ObjectModel
 from objectflow.synth.recording import FRAME, FRICTION, GRAVITY, SUBSTEPS
 from objectflow.synth.scene_data import Scene, SceneObject
@@ -50,7 +51,7 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
-        DatasetError: a texture's picture cannot be read.
+        DatasetError: a texture's picture cannot be read, or a model's mesh or collision part is no solid.
     """
     mujoco = import_mujoco()
     spec = mujoco.MjSpec()
@@ -77,7 +78,18 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
             body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
         if visible:
             _add_surface(mujoco, spec, body, number, item, model)
-    return spec.compile()
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise DatasetError(_explain(str(error), scene)) from error
+
+
+def _explain(message: str, scene: Scene) -> str:
+    """MuJoCo's complaint in one line, with the model that it is about."""
+    match = re.search(r"'(?:hull|surface)_(\d+)", message)
+    which = f"the model {scene.objects[int(match[1]) - 1].name}" if match else "the scene"
+    reason = message.splitlines()[0].removeprefix("Error: ")
+    return f"MuJoCo cannot build {which}: {reason}"
 
 
 def _make_solid(geom: Any) -> None:
