@@ -7,20 +7,16 @@ World frame: z up, the plane at z = 0. Rays are `t * (x, y, 1)` in a camera fram
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from analytic_solids import Solid, Texture, draw_texture, unit
 from objectflow.frame import Camera, RgbdFrame
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
-
-TEXEL = 0.003
-"""Metres a cell of the noise: about one pixel of a 320-wide image at 0.7 m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,93 +46,6 @@ class AnalyticPair:
     centers: dict[int, Array]
     camera_motion: Array
     kinds: dict[int, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Texture:
-    """A texture that fills space: noise of several octaves between colours, crossed by stripes or a checker."""
-
-    noise: Array  # (n, n, n) or (n, n), values 0..1, periodic
-    colors: Array  # (3, 3) RGB 0..255: low noise, high noise, pattern
-    pattern: str
-    period: float  # metres
-    direction: Array  # (3,) of the stripes
-
-    def at(self, points: Array) -> Array:
-        """RGB (N, 3) at points (N, 3) metres in the frame of what carries the texture."""
-        axes = self.noise.ndim
-        value = ndimage.map_coordinates(self.noise, points[:, :axes].T / TEXEL, order=1, mode="grid-wrap")[:, None]
-        rgb = self.colors[0] * (1 - value) + self.colors[1] * value
-        if self.pattern == "checker":
-            inside = (np.floor(points / self.period + 0.35).sum(-1) % 2) == 1
-        elif self.pattern == "stripes":
-            inside = (points @ self.direction / self.period) % 1.0 < 0.3
-        else:
-            inside = np.zeros(len(points), dtype=bool)
-        rgb[inside] = 0.35 * rgb[inside] + 0.65 * self.colors[2]
-        return np.asarray(rgb)
-
-
-@dataclass(frozen=True, eq=False)
-class Solid:
-    """A convex solid about its own origin; `size` = half extents, (r, r, r), or (r, r, half height)."""
-
-    kind: str
-    size: Array
-    texture: Texture
-
-    @property
-    def radius(self) -> float:
-        """Of the bounding sphere."""
-        if self.kind == "box":
-            return float(np.linalg.norm(self.size))
-        return float(self.size[0] if self.kind == "sphere" else np.hypot(self.size[0], self.size[2]))
-
-    def support(self, directions: Array) -> Array:
-        """(N,) furthest reach along unit directions (N, 3) of the object frame."""
-        if self.kind == "box":
-            return np.asarray(np.abs(directions) @ self.size)
-        if self.kind == "sphere":
-            return np.full(len(directions), self.size[0])
-        flat = np.linalg.norm(directions[:, :2], axis=1)
-        return np.asarray(flat * self.size[0] + np.abs(directions[:, 2]) * self.size[2])
-
-    def hit(self, origin: Array, rays: Array) -> tuple[Array, Array]:
-        """First hits of `origin + t * rays` (N, 3): t (N,), inf for none, and outward normals (N, 3)."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self.kind == "box":
-                near, far, axis = _slabs(origin, rays, self.size, range(3))
-                normal = np.zeros_like(rays)
-                rows = np.arange(len(rays))
-                normal[rows, axis] = -np.sign(rays[rows, axis])
-            elif self.kind == "sphere":
-                near, far = _quadric(origin, rays, self.size[0])
-                normal = (origin + near[:, None] * rays) / self.size[0]
-            else:
-                near, far = _quadric(origin[:2], rays[:, :2], self.size[0])
-                cap_near, cap_far, _ = _slabs(origin, rays, self.size, range(2, 3))
-                normal = (origin + near[:, None] * rays) / self.size[0] * np.array([1.0, 1, 0])
-                cap = cap_near > near
-                normal[cap] = np.stack([0 * near[cap], 0 * near[cap], -np.sign(rays[cap, 2])], axis=-1)
-                near, far = np.maximum(near, cap_near), np.minimum(far, cap_far)
-            ok = (near < far) & (near > 1e-6)
-        return np.where(ok, near, np.inf), normal
-
-
-def _slabs(origin: Array, rays: Array, size: Array, axes: range) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Entry, exit and entering axis of rays through the slabs `|p_axis| < size_axis`."""
-    a, b = list(axes), rays[:, list(axes)]
-    t0, t1 = (-size[a] - origin[a]) / b, (size[a] - origin[a]) / b
-    nears = np.minimum(t0, t1)
-    best = np.argmax(nears, axis=1)
-    return nears.max(1), np.maximum(t0, t1).min(1), best + axes.start
-
-
-def _quadric(origin: Array, rays: Array, radius: float) -> tuple[Array, Array]:
-    """Entry and exit of rays through a ball (3 columns) or an endless cylinder (2 columns)."""
-    a, b = (rays**2).sum(1), rays @ origin
-    root = np.sqrt(b * b - a * (origin @ origin - radius**2))
-    return (-b - root) / a, (-b + root) / a
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +134,8 @@ def make_scene(
     curr_T_prev_camera: Array = np.eye(4) if still else np.linalg.inv(np.asarray(camera_motion, np.float64))
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    plane = _draw_texture(rng, np.array([512, 512]), plane=True)
-    light = _unit(np.array([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0]))
+    plane = draw_texture(rng, np.array([512, 512]), plane=True)
+    light = unit(np.array([rng.uniform(-0.6, 0.6), rng.uniform(-0.6, 0.6), 1.0]))
     count = int(rng.integers(objects[0], objects[1] + 1))
     prev, curr, moved = _draw_layout(
         rng,
@@ -352,7 +261,7 @@ def _draw_camera(rng: Rng) -> Array:
     target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.03])
     back = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     z = -back
-    x = _unit(np.cross(z, [0, 0, 1]))
+    x = unit(np.cross(z, [0, 0, 1]))
     out = np.eye(4)
     out[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
     out[:3, 3] = target + rng.uniform(0.5, 0.9) * back
@@ -368,7 +277,7 @@ def _draw_solid(rng: Rng) -> Solid:
     else:
         radius = rng.uniform(0.03, 0.05)
         size = np.array([radius, radius, rng.uniform(0.04, 0.09)])
-    return Solid(kind, size, _draw_texture(rng, np.full(3, 48)))
+    return Solid(kind, size, draw_texture(rng, np.full(3, 48)))
 
 
 def _draw_rest(rng: Rng, solid: Solid) -> Array:
@@ -389,7 +298,7 @@ def _move(rng: Rng, solid: Solid, pose: Array, motion: tuple[float, float], max_
     """A slide on the plane with a turn about the vertical; one in four is lifted and turned about any axis."""
     lifted = rng.random() < 0.25
     free = lifted or solid.kind == "sphere"
-    axis = _unit(rng.standard_normal(3)) if free else np.array([0.0, 0, 1])
+    axis = unit(rng.standard_normal(3)) if free else np.array([0.0, 0, 1])
     turn = Rotation.from_rotvec(axis * np.radians(rng.uniform(-max_angle_deg, max_angle_deg))).as_matrix()
     heading, distance = rng.uniform(0, 2 * np.pi), rng.uniform(*motion)
     step = distance * np.array([np.cos(heading), np.sin(heading), 0])
@@ -418,29 +327,3 @@ def _apart(a: Solid, world_T_a: Array, b: Solid, world_T_b: Array, gap: float = 
     between = _AROUND @ (world_T_b[:3, 3] - world_T_a[:3, 3])
     reach = _reach(a, world_T_a[:3, :3], _AROUND) + _reach(b, world_T_b[:3, :3], -_AROUND)
     return bool((between - reach).max() > gap)
-
-
-def _draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> Texture:
-    """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
-    noise = np.zeros(tuple(cells))
-    for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
-        coarse = rng.standard_normal(tuple(cells // octave))
-        noise += weight * ndimage.zoom(coarse, octave, order=1, mode="grid-wrap", grid_mode=True)
-    low, high = np.percentile(noise, [5, 95])
-    hue = rng.permutation(3)
-    dark, bright = rng.uniform(10, 80, 3), rng.uniform(120, 200, 3)
-    bright[hue[0]] = rng.uniform(200, 255)
-    bright[hue[1]] = rng.uniform(70, 150)
-    if plane:  # calmer and greyer than the objects, still readable
-        grey = rng.uniform(130, 200)
-        bright, dark = grey + rng.uniform(-20, 20, 3), 0.4 * grey + rng.uniform(-15, 15, 3)
-    pattern = str(rng.choice(["none", "stripes"] if plane else ["stripes", "checker", "none"]))
-    accent = rng.uniform(0, 90, 3) if rng.random() < 0.5 else rng.uniform(190, 255, 3)
-    direction = _unit(rng.standard_normal(3) * (np.array([1.0, 1, 0]) if plane else 1))
-    period = float(rng.uniform(0.08, 0.15) if plane else rng.uniform(0.02, 0.04))
-    value = np.clip((noise - low) / (high - low), 0, 1)
-    return Texture(value, np.stack([dark, bright, accent]), pattern, period, direction)
-
-
-def _unit(vector: Any) -> Array:
-    return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)

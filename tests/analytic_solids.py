@@ -1,0 +1,129 @@
+"""The solids of analytic scenes: where rays meet them, and the textures that fill them. See `analytic`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+Rng = np.random.Generator
+
+TEXEL = 0.003
+"""Metres a cell of the noise: about one pixel of a 320-wide image at 0.7 m."""
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """A texture that fills space: noise of several octaves between colours, crossed by stripes or a checker."""
+
+    noise: Array  # (n, n, n) or (n, n), values 0..1, periodic
+    colors: Array  # (3, 3) RGB 0..255: low noise, high noise, pattern
+    pattern: str
+    period: float  # metres
+    direction: Array  # (3,) of the stripes
+
+    def at(self, points: Array) -> Array:
+        """RGB (N, 3) at points (N, 3) metres in the frame of what carries the texture."""
+        axes = self.noise.ndim
+        value = ndimage.map_coordinates(self.noise, points[:, :axes].T / TEXEL, order=1, mode="grid-wrap")[:, None]
+        rgb = self.colors[0] * (1 - value) + self.colors[1] * value
+        if self.pattern == "checker":
+            inside = (np.floor(points / self.period + 0.35).sum(-1) % 2) == 1
+        elif self.pattern == "stripes":
+            inside = (points @ self.direction / self.period) % 1.0 < 0.3
+        else:
+            inside = np.zeros(len(points), dtype=bool)
+        rgb[inside] = 0.35 * rgb[inside] + 0.65 * self.colors[2]
+        return np.asarray(rgb)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex solid about its own origin; `size` = half extents, (r, r, r), or (r, r, half height)."""
+
+    kind: str
+    size: Array
+    texture: Texture
+
+    @property
+    def radius(self) -> float:
+        """Of the bounding sphere."""
+        if self.kind == "box":
+            return float(np.linalg.norm(self.size))
+        return float(self.size[0] if self.kind == "sphere" else np.hypot(self.size[0], self.size[2]))
+
+    def support(self, directions: Array) -> Array:
+        """(N,) furthest reach along unit directions (N, 3) of the object frame."""
+        if self.kind == "box":
+            return np.asarray(np.abs(directions) @ self.size)
+        if self.kind == "sphere":
+            return np.full(len(directions), self.size[0])
+        flat = np.linalg.norm(directions[:, :2], axis=1)
+        return np.asarray(flat * self.size[0] + np.abs(directions[:, 2]) * self.size[2])
+
+    def hit(self, origin: Array, rays: Array) -> tuple[Array, Array]:
+        """First hits of `origin + t * rays` (N, 3): t (N,), inf for none, and outward normals (N, 3)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.kind == "box":
+                near, far, axis = _slabs(origin, rays, self.size, range(3))
+                normal = np.zeros_like(rays)
+                rows = np.arange(len(rays))
+                normal[rows, axis] = -np.sign(rays[rows, axis])
+            elif self.kind == "sphere":
+                near, far = _quadric(origin, rays, self.size[0])
+                normal = (origin + near[:, None] * rays) / self.size[0]
+            else:
+                near, far = _quadric(origin[:2], rays[:, :2], self.size[0])
+                cap_near, cap_far, _ = _slabs(origin, rays, self.size, range(2, 3))
+                normal = (origin + near[:, None] * rays) / self.size[0] * np.array([1.0, 1, 0])
+                cap = cap_near > near
+                normal[cap] = np.stack([0 * near[cap], 0 * near[cap], -np.sign(rays[cap, 2])], axis=-1)
+                near, far = np.maximum(near, cap_near), np.minimum(far, cap_far)
+            ok = (near < far) & (near > 1e-6)
+        return np.where(ok, near, np.inf), normal
+
+
+def _slabs(origin: Array, rays: Array, size: Array, axes: range) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Entry, exit and entering axis of rays through the slabs `|p_axis| < size_axis`."""
+    a, b = list(axes), rays[:, list(axes)]
+    t0, t1 = (-size[a] - origin[a]) / b, (size[a] - origin[a]) / b
+    nears = np.minimum(t0, t1)
+    best = np.argmax(nears, axis=1)
+    return nears.max(1), np.maximum(t0, t1).min(1), best + axes.start
+
+
+def _quadric(origin: Array, rays: Array, radius: float) -> tuple[Array, Array]:
+    """Entry and exit of rays through a ball (3 columns) or an endless cylinder (2 columns)."""
+    a, b = (rays**2).sum(1), rays @ origin
+    root = np.sqrt(b * b - a * (origin @ origin - radius**2))
+    return (-b - root) / a, (-b + root) / a
+
+
+def draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> Texture:
+    """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
+    noise = np.zeros(tuple(cells))
+    for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
+        coarse = rng.standard_normal(tuple(cells // octave))
+        noise += weight * ndimage.zoom(coarse, octave, order=1, mode="grid-wrap", grid_mode=True)
+    low, high = np.percentile(noise, [5, 95])
+    hue = rng.permutation(3)
+    dark, bright = rng.uniform(10, 80, 3), rng.uniform(120, 200, 3)
+    bright[hue[0]] = rng.uniform(200, 255)
+    bright[hue[1]] = rng.uniform(70, 150)
+    if plane:  # calmer and greyer than the objects, still readable
+        grey = rng.uniform(130, 200)
+        bright, dark = grey + rng.uniform(-20, 20, 3), 0.4 * grey + rng.uniform(-15, 15, 3)
+    pattern = str(rng.choice(["none", "stripes"] if plane else ["stripes", "checker", "none"]))
+    accent = rng.uniform(0, 90, 3) if rng.random() < 0.5 else rng.uniform(190, 255, 3)
+    direction = unit(rng.standard_normal(3) * (np.array([1.0, 1, 0]) if plane else 1))
+    period = float(rng.uniform(0.08, 0.15) if plane else rng.uniform(0.02, 0.04))
+    value = np.clip((noise - low) / (high - low), 0, 1)
+    return Texture(value, np.stack([dark, bright, accent]), pattern, period, direction)
+
+
+def unit(vector: Any) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)
