@@ -1,4 +1,4 @@
-"""The paper's networks as pure torch modules: no data set, no NumPy, no files but pretrained backbones."""
+"""The paper's networks as pure torch modules: no data set, no NumPy, no files but weights."""
 
 from objectflow.networks.backbone import load_backbone
 from objectflow.networks.outputs import DenseMotion, scene_flow

@@ -1,0 +1,156 @@
+"""Weights on disk: safetensors whose header says which network they fill and where they come from. No pickle."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.torch
+import torch
+from torch import Tensor
+
+from objectflow import files
+from objectflow.errors import MethodError
+from objectflow.networks.sceneflownet import SceneFlowNet
+from objectflow.networks.settings import NetworkSettings
+
+_KEY = "objectflow"
+"""The header's one entry, JSON: safetensors keeps several in no fixed order, and equal weights make equal bytes."""
+_VERSION = 1
+
+
+def save_weights(path: str | Path, network: SceneFlowNet, metadata: Mapping[str, Any], *, half: bool = False) -> None:
+    """Write a network whole or not at all.
+
+    Args:
+        path: of the file; one that exists is replaced.
+        network: without wrappers such as `torch.compile`'s or DDP's. Its settings go into the header.
+        metadata: whatever JSON can hold. Estimators read `variant` (the method's name), `size` ([H, W] of training)
+            and `grouping` (fields of `GroupingSettings`); `recipe`, `data` (the data set's hash) and `metrics` are
+            for people.
+        half: store matrices and filters as float16, for shipping; vectors, such as running variances, stay.
+
+    Raises:
+        MethodError: a weight beyond float16's range, or metadata that JSON cannot hold.
+        StorageError: the disk refused.
+    """
+    path = Path(path)
+    tensors: dict[str, Tensor] = {}
+    for name, value in network.state_dict().items():
+        tensor = value.detach().to("cpu", memory_format=torch.contiguous_format).contiguous()
+        if half and tensor.is_floating_point() and tensor.ndim > 1:
+            tensor = tensor.half()
+            if not bool(tensor.isfinite().all()):
+                raise MethodError(f"{path}: {name} does not fit into float16: save these weights as they are")
+        tensors[name] = tensor
+    try:
+        header = json.dumps(
+            {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}, sort_keys=True
+        )
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"{path}: metadata of weights must be plain JSON: {error}") from error
+    files.write_bytes(path, safetensors.torch.save(tensors, {_KEY: header}))
+
+
+def load_weights(
+    path: str | Path, device: torch.device | str = "cpu", *, settings: NetworkSettings | None = None
+) -> tuple[SceneFlowNet, dict[str, Any]]:
+    """Build the network that a file of `save_weights` describes, and fill it: every tensor or an error.
+
+    Args:
+        path: of the file.
+        device: where the network goes.
+        settings: what the network must be, where the caller cannot do with any other.
+
+    Returns:
+        The network in float32 and evaluation mode, and the metadata.
+
+    Raises:
+        MethodError: no such file; a truncated, pickled or foreign one; another configuration (the message names the
+            field), or tensors that do not fit it.
+    """
+    path = Path(path)
+    found, metadata = read_header(path)
+    if settings is not None:
+        check_settings(found, settings, where=str(path))
+    try:
+        tensors = safetensors.torch.load_file(path)
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise _unreadable(path, error) from error
+    with torch.random.fork_rng(devices=[]):  # a network starts from random numbers: leave the caller's alone
+        network = SceneFlowNet(found)
+    wanted = network.state_dict()
+    for name in sorted({*wanted, *tensors}):
+        if name not in tensors:
+            raise MethodError(f"{path}: damaged: {name} is missing")
+        if name not in wanted:
+            raise MethodError(f"{path}: damaged: {name} has no place in the network that its header describes")
+        if tensors[name].shape != wanted[name].shape:
+            sizes = f"{tuple(tensors[name].shape)}, its header says {tuple(wanted[name].shape)}"
+            raise MethodError(f"{path}: damaged: {name} is {sizes}")
+        if not bool(tensors[name].isfinite().all()):
+            raise MethodError(f"{path}: {name} holds numbers that are not finite: training went wrong")
+    network.load_state_dict({name: value.to(wanted[name].dtype) for name, value in tensors.items()}, strict=True)
+    return network.to(device).eval(), metadata
+
+
+def read_header(path: str | Path) -> tuple[NetworkSettings, dict[str, Any]]:
+    """The configuration and the metadata of a file of `save_weights`, without its tensors.
+
+    Raises:
+        MethodError: as `load_weights`.
+    """
+    path = Path(path)
+    try:
+        with safetensors.safe_open(path, framework="pt") as file:
+            entries = file.metadata() or {}
+    except (OSError, ValueError, safetensors.SafetensorError) as error:
+        raise _unreadable(path, error) from error
+    if _KEY not in entries:
+        raise MethodError(f"{path}: no weights of an objectflow network: its header does not describe one")
+    try:
+        header = json.loads(entries[_KEY])
+        if header["version"] != _VERSION:
+            raise MethodError(f"{path}: weights of format {header['version']}, this objectflow reads {_VERSION}")
+        network, metadata = header["network"], header["metadata"]
+        if not isinstance(network, dict) or not isinstance(metadata, dict):
+            raise ValueError("not an object")
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise MethodError(f"{path}: damaged: its header cannot be read") from error
+    try:
+        return NetworkSettings.from_dict(network), metadata
+    except MethodError as error:
+        raise MethodError(f"{path}: {error}") from error
+
+
+def check_settings(found: NetworkSettings, wanted: NetworkSettings, *, where: str) -> None:
+    """Check that weights are of the configuration asked for.
+
+    Raises:
+        MethodError: a field differs; the message names the first, its two values, and starts with `where`.
+    """
+    for field in dataclasses.fields(NetworkSettings):
+        one, other = getattr(found, field.name), getattr(wanted, field.name)
+        if one != other:
+            raise MethodError(
+                f"{where}: weights of another configuration: {field.name} is {one} there, but {other} is asked for"
+            )
+
+
+def _unreadable(path: Path, error: Exception) -> MethodError:
+    if not path.exists():
+        return MethodError(f"{path}: no such file")
+    if path.is_dir():
+        return MethodError(f"{path}: a folder, not a file of weights")
+    if isinstance(error, OSError) and error.strerror:
+        return MethodError(f"{path}: cannot be read: {error.strerror}")
+    with path.open("rb") as file:
+        start = file.read(2)
+    if start == b"PK" or start[:1] == b"\x80":
+        return MethodError(f"{path}: a pickled file, which may run any code: only safetensors are read")
+    reason = (str(error).splitlines() or [type(error).__name__])[0]
+    return MethodError(f"{path}: not a safetensors file, or a truncated one: {reason}")
