@@ -8,6 +8,7 @@ import numpy as np
 
 from objectflow.evaluation.flow_metrics import FlowScore, score_flow
 from objectflow.evaluation.object_metrics import ObjectError, score_objects
+from objectflow.evaluation.region_score import RegionScore, score_regions
 from objectflow.evaluation.segmentation_metrics import SegmentationScore, score_segmentation
 from objectflow.evaluation.truth import PairTruth
 from objectflow.motion import SceneMotion
@@ -22,6 +23,7 @@ class PairScore:
         flow, segmentation: the image's scores.
         objects: of the matched objects.
         seconds: what the estimate took.
+        regions: of every true object, matched or not.
     """
 
     key: str
@@ -30,6 +32,7 @@ class PairScore:
     segmentation: SegmentationScore
     objects: tuple[ObjectError, ...]
     seconds: float
+    regions: tuple[RegionScore, ...] = ()
 
 
 def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
@@ -48,4 +51,5 @@ def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
         segmentation=segmentation,
         objects=score_objects(predicted.objects, truth, segmentation.matches),
         seconds=predicted.seconds,
+        regions=score_regions(predicted.scene_flow, truth, segmentation.matches),
     )

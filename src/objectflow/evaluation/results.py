@@ -1,0 +1,266 @@
+"""What `objectflow evaluate` found, as plain data: the tables and the report are made from it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import files, geometry
+from objectflow.errors import DatasetError, StorageError
+from objectflow.evaluation.pair_score import PairScore
+from objectflow.evaluation.plain import from_plain, to_plain
+from objectflow.evaluation.summary import Summary
+from objectflow.evaluation.truth import PairTruth
+from objectflow.frame import RgbdFrame
+from objectflow.motion import SceneMotion
+
+Array = NDArray[np.float64]
+
+FORMAT = 1
+"""Of `results.json`. Another one is refused, not guessed at."""
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationPair:
+    """The frames of one pair and what is true of them."""
+
+    prev: RgbdFrame
+    curr: RgbdFrame
+    truth: PairTruth
+
+
+class PairSource(Protocol):
+    """Pictures behind the numbers: frames, truth and cached predictions, read from disk when they are asked for."""
+
+    def pair(self, key: str) -> EvaluationPair:
+        """The pair of this key.
+
+        Raises:
+            DatasetError: there is none, or it cannot be read.
+        """
+        ...
+
+    def prediction(self, label: str, key: str) -> SceneMotion | None:
+        """What the method of this label (`MethodResult.label`) made of the pair; None where it failed."""
+        ...
+
+
+@dataclass(frozen=True)
+class ObjectFacts:
+    """What is true of one object, whatever a method makes of it.
+
+    Attributes:
+        label: in the true labels of the current frame.
+        pixels: that show it in the current frame.
+        displacement_cm: of its centre, against the camera.
+        rotation_deg: of its motion, reduced by symmetry; NaN where only the translation is known.
+        symmetric: whether it has a symmetry axis.
+        moving: against the background.
+        in_both: visible in both frames; only such objects are in the masked columns.
+    """
+
+    label: int
+    pixels: int
+    displacement_cm: float
+    rotation_deg: float
+    symmetric: bool
+    moving: bool
+    in_both: bool
+
+
+@dataclass(frozen=True)
+class PairFacts:
+    """What is true of one pair: the breakdowns sort by it. `objects` are those visible in the current frame."""
+
+    key: str
+    scene: str
+    width: int
+    height: int
+    objects: tuple[ObjectFacts, ...]
+
+    @property
+    def number(self) -> int:
+        """How many objects the current frame shows."""
+        return len(self.objects)
+
+    @property
+    def displacement_cm(self) -> float:
+        """Mean over the objects visible in both frames; NaN without any."""
+        return self._mean(lambda obj: obj.displacement_cm)
+
+    @property
+    def rotation_deg(self) -> float:
+        """Mean over the objects visible in both frames whose rotation is known; NaN without any."""
+        return self._mean(lambda obj: obj.rotation_deg)
+
+    @property
+    def visible_pixels(self) -> float:
+        """Mean pixels of the objects visible in both frames; NaN without any."""
+        return self._mean(lambda obj: obj.pixels)
+
+    @property
+    def symmetric_share(self) -> float:
+        """0..1, of the objects visible in both frames; NaN without any."""
+        return self._mean(lambda obj: obj.symmetric)
+
+    def _mean(self, of: Callable[[ObjectFacts], float]) -> float:
+        values = [float(of(obj)) for obj in self.objects if obj.in_both]
+        known = [value for value in values if not math.isnan(value)]
+        return sum(known) / len(known) if known else math.nan
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A pair on which a method failed, and what it said, in one line."""
+
+    key: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """All that is known of one method on the set.
+
+    Attributes:
+        label: its name in the tables; unique in an evaluation.
+        method: its name in `objectflow methods`, or of an oracle.
+        options: that were asked for.
+        oracle: it saw the truth, so it is no competitor.
+        summary: of `scores`; None if every pair failed.
+        failures: pairs without a score, in the set's order.
+        scores: in the set's order.
+    """
+
+    label: str
+    method: str
+    options: dict[str, Any]
+    oracle: bool
+    summary: Summary | None
+    failures: tuple[Failure, ...]
+    scores: tuple[PairScore, ...]
+
+    def score(self, key: str) -> PairScore | None:
+        """The score of one pair; None where the method failed."""
+        return next((score for score in self.scores if score.key == key), None)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Methods on one set of pairs.
+
+    Attributes:
+        data: the set's name, without a path: "tiny", or the folder's own name.
+        kind: "pairs" or "sequences" of a generated set (frames 20 and 80 of each, as the paper has it), "consecutive"
+            (all consecutive frames of its sequences), or "real" (pair folders).
+        split: of a generated set, otherwise "".
+        sha256: of the set's content.
+        total: pairs in the whole set, of which `pairs` are the first.
+        machine: where the scores were taken; each method's own is in `summary.runtime.machine`.
+        version: of objectflow.
+        pairs: that were evaluated, in order.
+        methods: in the order in which they were named.
+    """
+
+    data: str
+    kind: str
+    split: str
+    sha256: str
+    total: int
+    machine: str
+    version: str
+    pairs: tuple[PairFacts, ...]
+    methods: tuple[MethodResult, ...]
+
+    def method(self, label: str) -> MethodResult:
+        """The method of this label.
+
+        Raises:
+            KeyError: there is none.
+        """
+        return {method.label: method for method in self.methods}[label]
+
+    def to_json(self) -> str:
+        """As JSON; NaN becomes null."""
+        return json.dumps({"format": FORMAT, **to_plain(self)}, separators=(",", ":"), allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, *, where: str = "results") -> Evaluation:
+        """The inverse of `to_json`.
+
+        Raises:
+            DatasetError: it is not what `to_json` writes; the message starts with `where`.
+        """
+        try:
+            values = json.loads(text)
+            if values["format"] != FORMAT:
+                raise ValueError(f"its format is {values['format']!r}, this program reads {FORMAT}")
+            return from_plain(cls, values)
+        except KeyError as error:
+            raise DatasetError(f"{where}: not the results of an evaluation: {error} is missing") from error
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise DatasetError(f"{where}: not the results of an evaluation: {error}") from error
+
+    def write(self, path: Path) -> None:
+        """Write `results.json`, whole.
+
+        Raises:
+            StorageError: the disk refused.
+        """
+        files.write_text(path, self.to_json())
+
+    @classmethod
+    def read(cls, path: Path) -> Evaluation:
+        """Read what `write` wrote.
+
+        Raises:
+            DatasetError: no such file, or not one of `write`.
+            StorageError: the disk refused.
+        """
+        try:
+            text = path.read_text(encoding="utf-8")
+        except FileNotFoundError:
+            raise DatasetError(f"{path}: no such file") from None
+        except UnicodeDecodeError as error:
+            raise DatasetError(f"{path}: not the results of an evaluation: {error}") from error
+        except OSError as error:
+            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+        return cls.from_json(text, where=str(path))
+
+
+def facts_of(truth: PairTruth) -> PairFacts:
+    """What the breakdowns need of a truth."""
+    height, width = truth.labels.shape
+    pixels = np.bincount(truth.labels.ravel())
+    return PairFacts(
+        key=truth.key,
+        scene=truth.scene,
+        width=width,
+        height=height,
+        objects=tuple(
+            ObjectFacts(
+                label=obj.label,
+                pixels=int(pixels[obj.label]),
+                displacement_cm=100 * _displacement(obj.prev_T_curr, obj.center),
+                rotation_deg=_angle_deg(obj.prev_T_curr) if obj.rotation_known else math.nan,
+                symmetric=len(obj.orders) > 0,
+                moving=obj.label in truth.moving,
+                in_both=obj.in_both,
+            )
+            for obj in truth.objects
+        ),
+    )
+
+
+def _displacement(prev_T_curr: Array, center: Array) -> float:
+    return float(np.linalg.norm(geometry.transform(prev_T_curr, center) - center))
+
+
+def _angle_deg(prev_T_curr: Array) -> float:
+    return math.degrees(float(geometry.rotation_angle(prev_T_curr[:3, :3])))
