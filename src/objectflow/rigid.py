@@ -71,9 +71,24 @@ def _rough_fit(matches: Matches, sigma: Array, precision: Array, trials: int = 4
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
     everything, _ = geometry.kabsch(matches.curr, matches.prev, precision)
     motions = np.concatenate([everything[None], motions[determined]])
-    carried = np.einsum("kij,nj->kni", motions[:, :3, :3], matches.curr) + motions[:, None, :3, 3]
-    error = np.linalg.norm(carried - matches.prev, axis=-1) / sigma
-    return np.asarray(motions[np.minimum(error**2, 9).sum(axis=1).argmin()])
+    misfit = np.minimum(squared_errors(motions, matches.curr, matches.prev) / sigma**2, 9).sum(axis=1)
+    return np.asarray(motions[misfit.argmin()])
+
+
+def squared_errors(motions: Array, curr: NDArray[np.floating[Any]], prev: NDArray[np.floating[Any]]) -> Array:
+    """Squared distance of every point, carried by every motion, to its match.
+
+    Args:
+        motions: (K, 4, 4) `prev_T_curr`.
+        curr, prev: (N, 3) metres.
+
+    Returns:
+        (K, N) square metres.
+    """
+    # Coordinates first: sums over the three of them are then sums of long rows.
+    off = motions[:, :3, :3] @ curr.T.astype(np.float64) + (motions[:, :3, 3, None] - prev.T)
+    off *= off
+    return np.asarray(off[:, 0] + off[:, 1] + off[:, 2])
 
 
 class Target:
@@ -208,7 +223,7 @@ def _normal_equations(
     p, n = points[usable].astype(np.float64), normal[usable].astype(np.float64)
     r = along[usable] / sigma[usable]
     weight = _tukey(r)
-    J = np.concatenate([n, np.cross(p, n)], axis=1) / sigma[usable, None]
+    J = np.concatenate([n, _cross(p, n)], axis=1) / sigma[usable, None]
     H, b = J.T @ (weight[:, None] * J), J.T @ (weight * r)
     if color_weight > 0 and usable.sum() > 6:
         g_u, g_v = (_sample(gradient, pixels[usable]) for gradient in target.gradients[level])
@@ -221,7 +236,7 @@ def _normal_equations(
         noise = max(4.0, 1.4826 * float(np.median(np.abs(difference))))
         r_c = difference / noise
         weight = color_weight * _tukey(r_c)
-        J = np.concatenate([toward, np.cross(p, toward)], axis=1) / noise
+        J = np.concatenate([toward, _cross(p, toward)], axis=1) / noise
         H, b = H + J.T @ (weight[:, None] * J), b + J.T @ (weight * r_c)
     return H, b
 
@@ -244,7 +259,9 @@ def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array,
     r = (p - matches.prev) / sigma[:, None]
     weight = _tukey(np.linalg.norm(r, axis=1))
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -geometry.hat(p)], axis=2) / sigma[:, None, None]
-    return np.einsum("nij,n,nik->jk", J, weight, J), np.einsum("nij,n,ni->j", J, weight, r)
+    J, weight = J.reshape(-1, 6), np.repeat(weight, 3)
+    weighted = (weight[:, None] * J).T
+    return weighted @ J, weighted @ r.ravel()
 
 
 def judge(target: Target, source: Source, T: Array) -> Refined:
@@ -266,6 +283,12 @@ def judge(target: Target, source: Source, T: Array) -> Refined:
         visible=float(seen.sum()) / len(points),
         depth_error=float(np.sqrt(np.mean(distance[good] ** 2))),
     )
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """(N, 3) x (N, 3): np.cross in a third of the time, for a loop that lives on it."""
+    (x, y, z), (u, v, w) = a.T, b.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def _tukey(r: NDArray[np.floating]) -> Array:

@@ -55,10 +55,9 @@ def dominant_motion(
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
     # No motion is always among the candidates: in most scenes over a table it is the right one.
     motions = np.concatenate([np.eye(4)[None], motions[determined]])
-    carried = np.einsum("kij,nj->kni", motions[:, :3, :3], matches.curr[judges]) + motions[:, None, :3, 3]
-    error = np.linalg.norm(carried - matches.prev[judges], axis=-1) / sigma[judges]
+    squared = rigid.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
     # MSAC: an inlier counts by how well it fits (Torr and Zisserman 2000).
-    best = int(np.minimum(error**2, 9).sum(1).argmin())
+    best = int(np.minimum(squared, 9).sum(1).argmin())
     prev_T_curr = motions[best]
     for _ in range(3):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)

@@ -113,8 +113,7 @@ def _fit_all(weights: Array, curr: Array, prev: Array) -> tuple[Array, NDArray[n
 
 def _errors(motions: Array, curr: Array, prev: Array) -> Array:
     """(K, N) distances of every match to its place under every motion."""
-    carried = np.einsum("kij,nj->kni", motions[:, :3, :3], curr, optimize=True) + motions[:, None, :3, 3]
-    return np.asarray(np.linalg.norm(carried - prev, axis=-1))
+    return np.sqrt(rigid.squared_errors(motions, curr, prev))
 
 
 def _distances(points: Array) -> Array:
