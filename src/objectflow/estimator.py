@@ -44,6 +44,22 @@ METHODS: dict[str, MethodEntry] = {
         "objectflow.baselines.dense_flow",
         "DenseFlow",
     ),
+    "vo-sf": MethodEntry(
+        "Jaimez et al. 2017: geometric clusters, static or moving, with a rigid motion each",
+        "objectflow.baselines.vo_sf.estimator",
+        "VoSf",
+    ),
+    "sceneflownet-c-vl": MethodEntry(
+        "the paper's network with correlation and all losses; needs weights",
+        "objectflow.learned",
+        "SceneFlowNetCVL",
+    ),
+    "sceneflownet-c": MethodEntry(
+        "the same without the variance and violation losses; needs weights", "objectflow.learned", "SceneFlowNetC"
+    ),
+    "sceneflownet-s": MethodEntry(
+        "the paper's simple network, without correlation; needs weights", "objectflow.learned", "SceneFlowNetS"
+    ),
     "zero": MethodEntry("nothing moves: the row that every method must beat", "objectflow.baselines.zero", "Zero"),
 }
 
