@@ -38,6 +38,13 @@ class Matches:
         )
 
 
+def find_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
+    """Flow on a grid and features together: small motions everywhere, large ones where there is something to see."""
+    flow, consistent = dense_flow(gray(prev.color), gray(curr.color))
+    stride = 4 if curr.camera.width <= 400 else 8
+    return flow_matches(flow, consistent, prev, curr, stride=stride) + feature_matches(prev, curr)
+
+
 def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(H, W, 3) RGB -> (H, W) uint8."""
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)

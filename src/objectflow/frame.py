@@ -244,6 +244,12 @@ class RgbdFrame:
             name=self.name,
         )
 
+    def narrowed(self, width: int) -> RgbdFrame:
+        """The frame at `width` pixels and its own proportions; itself if it is no wider."""
+        if self.camera.width <= width:
+            return self
+        return self.resized(width, max(1, round(self.camera.height * width / self.camera.width)))
+
 
 def check_pair(prev: RgbdFrame, curr: RgbdFrame) -> None:
     """Check that two frames can be compared.

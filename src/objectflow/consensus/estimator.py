@@ -72,8 +72,8 @@ class Consensus:
         check_pair(prev, curr)
         rng = np.random.default_rng(self.seed)
         # 1. Match the frames and lift the matches by depth.
-        prev_m, curr_m = _narrow(prev, self.match_width), _narrow(curr, self.match_width)
-        matches = _all_matches(prev_m, curr_m)
+        prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
+        matches = correspondence.find_matches(prev_m, curr_m)
         target = rigid.Target(prev_m)
         # 2. The background first: what moves is what does not follow it.
         camera_motion = background_motion(matches, target, curr_m, camera=self.camera, rng=rng)
@@ -84,7 +84,7 @@ class Consensus:
             Hypothesis(p.prev_T_curr, p.matches.curr, p.matches) for p in propose(movers, curr_m.camera, rng=rng)
         ]
         # 4. Pixels to motions, motions from pixels.
-        prev_s, curr_s = _narrow(prev, self.label_width), _narrow(curr, self.label_width)
+        prev_s, curr_s = prev.narrowed(self.label_width), curr.narrowed(self.label_width)
         stage = Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         masks: list[Mask] = []
         for number in range(self.rounds):
@@ -169,20 +169,6 @@ class Consensus:
             method="consensus",
             seconds=time.perf_counter() - start,
         )
-
-
-def _narrow(frame: RgbdFrame, width: int) -> RgbdFrame:
-    if frame.camera.width <= width:
-        return frame
-    return frame.resized(width, max(1, round(frame.camera.height * width / frame.camera.width)))
-
-
-def _all_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
-    """Flow on a grid and features together."""
-    flow, consistent = correspondence.dense_flow(correspondence.gray(prev.color), correspondence.gray(curr.color))
-    stride = 4 if curr.camera.width <= 400 else 8
-    along_flow = correspondence.flow_matches(flow, consistent, prev, curr, stride=stride)
-    return along_flow + correspondence.feature_matches(prev, curr)
 
 
 def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:

@@ -54,7 +54,7 @@ class OracleMasks:
         if self.labels.shape != curr.depth.shape:
             raise ResultError(f"true labels {self.labels.shape} do not fit the frame {curr.depth.shape}")
         # 1. Match and lift, at the width of `consensus`.
-        prev_m, curr_m = _narrow(prev, self.match_width), _narrow(curr, self.match_width)
+        prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
         labels_m = _narrow_labels(self.labels, curr_m.depth.shape)
         along_flow, features = _flow_matches(prev_m, curr_m), correspondence.feature_matches(prev_m, curr_m)
         target = rigid.Target(prev_m)
@@ -115,12 +115,6 @@ def _describe(label: int, pixels: int, found: rigid.Refined, points: Array, back
         center=center,
         prev_T_curr=found.prev_T_curr,
     )
-
-
-def _narrow(frame: RgbdFrame, width: int) -> RgbdFrame:
-    if frame.camera.width <= width:
-        return frame
-    return frame.resized(width, max(1, round(frame.camera.height * width / frame.camera.width)))
 
 
 def _narrow_labels(labels: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int32]:
