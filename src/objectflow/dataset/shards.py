@@ -99,6 +99,11 @@ class Shards(Sequence[Row], Generic[Row]):
         position, where = self._locate(index)
         return self._decode(self._read(position), where=where)
 
+    def raw(self, index: int) -> tuple[dict[str, Any], str]:
+        """The row's columns as they are stored, images as PNG bytes; and how messages name the row."""
+        position, where = self._locate(index)
+        return self._read(position), where
+
     def keys(self) -> list[str]:
         """Every row's key ("sequence/frame" of sequences), in order; reads no images."""
         keys: list[str] = []
@@ -116,6 +121,11 @@ class Shards(Sequence[Row], Generic[Row]):
         for number in range(len(self.part.shards)):
             tables += self._file(number).read(columns=["objects"]).column("objects").to_pylist()
         return tables
+
+    def count_objects(self) -> int:
+        """The entries of all rows' object tables together; reads little more than them."""
+        tables = [self._file(i).read(columns=["objects.list.element.label"]) for i in range(len(self.part.shards))]
+        return sum(len(table.column("objects").combine_chunks().flatten()) for table in tables)
 
     def find(self, key: str) -> int:
         """The number of the row with this key.
