@@ -22,6 +22,8 @@ _SOFTNESS = 100.0
 """Per square metre: how fast a soft label falls off (k_smooth)."""
 _CUT = 6.0
 """Soft labels below exp(-6) are 0."""
+_PART = 1 << 13
+"""Points whose distances to all clusters are found at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,29 +42,32 @@ class Clusters:
 
     def labels(self, points: Floats) -> NDArray[np.int32]:
         """(..., 3) points, 0 where missing -> (...) int32: the nearest cluster, 24 where depth is missing."""
-        nearest = self._distance2(points).argmin(-1).astype(np.int32)
-        return np.where(points[..., 2] > 0, nearest, np.int32(COUNT))
+        flat = points.reshape(-1, 3)
+        nearest = np.concatenate([_distance2(flat[i], self.centers, self.used).argmin(-1) for i in _parts(len(flat))])
+        return np.where(flat[:, 2] > 0, nearest, COUNT).astype(np.int32).reshape(points.shape[:-1])
 
-    def soft_labels(self, points: Floats) -> Floats:
-        """(..., 3) points -> (..., 24) float32 weights that sum to 1, all 0 where depth is missing.
+    def assign(self, points: Floats) -> tuple[NDArray[np.int32], Floats]:
+        """`labels`, and soft labels: (..., 24) float32 that sum to 1, all 0 where depth is missing.
 
         A pixel near the border of its cluster also belongs to the touching clusters, the more the nearer it is to
         them: exp(-100 |d_own^2 - d_l^2|).
         """
-        distance2 = self._distance2(points)
-        nearest = distance2.argmin(-1)
-        own = np.take_along_axis(distance2, nearest[..., None], -1)
-        with np.errstate(over="ignore", invalid="ignore"):  # where depth is absurd
-            exponent = np.float32(_SOFTNESS) * (distance2 - own)
+        flat = points.reshape(-1, 3)
+        labels, soft = np.empty(len(flat), np.int32), np.empty((len(flat), COUNT), np.float32)
         # Row 24 of the table, for pixels without depth, has no cluster at all.
         table = np.concatenate([self.touching, np.zeros((1, COUNT), bool)])
-        missing = points[..., 2] <= 0
-        possible = table[np.where(missing, COUNT, nearest)] & (exponent < _CUT)
-        weights = np.where(possible, np.exp(-np.minimum(exponent, np.float32(_CUT))), np.float32(0))
-        return np.asarray(weights / np.maximum(weights.sum(-1, keepdims=True), np.float32(1e-6)))
-
-    def _distance2(self, points: Floats) -> Floats:
-        return _distance2(points, self.centers, self.used)
+        for part in _parts(len(flat)):
+            distance2 = _distance2(flat[part], self.centers, self.used)
+            nearest = distance2.argmin(-1)
+            exponent = distance2
+            with np.errstate(over="ignore", invalid="ignore"):  # where depth is absurd
+                exponent -= np.take_along_axis(distance2, nearest[:, None], -1)
+                exponent *= np.float32(_SOFTNESS)
+            labels[part] = np.where(flat[part, 2] > 0, nearest, COUNT)
+            weights = np.exp(-np.minimum(exponent, np.float32(_CUT)))
+            weights *= table[labels[part]] & (exponent < _CUT)
+            soft[part] = weights / np.maximum(weights.sum(-1, keepdims=True), np.float32(1e-6))
+        return labels.reshape(points.shape[:-1]), soft.reshape(*points.shape[:-1], COUNT)
 
 
 def cluster(levels: list[Level]) -> Clusters:
@@ -74,17 +79,22 @@ def cluster(levels: list[Level]) -> Clusters:
     return Clusters(centers, used, touching)
 
 
+def _parts(count: int) -> list[slice]:
+    """Parts of a list that are short enough for the processor's cache; at least one, if empty."""
+    return [slice(at, at + _PART) for at in range(0, max(count, 1), _PART)]
+
+
 def _distance2(points: Floats, centers: Floats, used: NDArray[np.bool_]) -> Floats:
-    """(..., 3) and (24, 3) -> (..., 24) square metres, infinite for clusters without pixels.
+    """(N, 3) and (24, 3) -> (N, 24) square metres, infinite for clusters without pixels.
 
     About a common origin amid the points, the products of single precision keep their digits.
     """
-    origin = centers[used].mean(0) if used.any() else np.zeros(3, np.float32)
+    origin = centers[used].mean(0)
     p, c = points - origin, centers - origin
     with np.errstate(over="ignore", invalid="ignore"):  # where depth is absurd
-        product = p.reshape(-1, 3) @ c.T
-        out = (p**2).sum(-1, keepdims=True) - 2 * product.reshape(*points.shape[:-1], COUNT) + (c**2).sum(-1)
-    out[..., ~used] = np.inf
+        out = p @ (-2 * c.T)
+        out += (p**2).sum(-1, keepdims=True)
+    out += np.where(used, (c**2).sum(-1), np.float32(np.inf))
     return np.asarray(out)
 
 

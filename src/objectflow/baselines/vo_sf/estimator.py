@@ -22,8 +22,8 @@ from objectflow.noise import depth_sigma
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-_CHUNK = 1 << 16
-"""Pixels whose soft labels are made at a time: large images need no more memory than small ones."""
+_ROWS = 128
+"""Image rows whose soft labels are made at a time: large images need little more memory than small ones."""
 
 
 @dataclass(frozen=True)
@@ -86,17 +86,17 @@ class VoSf:
 
 def _paint(clusters: Clusters, prev_T_curr: Array, points: Floats) -> tuple[NDArray[np.int32], Floats]:
     """(24, 4, 4) motions and (H, W, 3) points, NaN where missing -> clusters (H, W) and flow (H, W, 3)."""
-    flat = np.nan_to_num(points.reshape(-1, 3))
-    member, flow = np.empty(len(flat), np.int32), np.full(flat.shape, np.nan, np.float32)
     # Displacements, not positions: what does not move has a flow of exactly 0.
     displacement = (prev_T_curr - np.eye(4))[:, :3].reshape(COUNT, 12).astype(np.float32)
-    for at in range(0, len(flat), _CHUNK):
-        part = slice(at, at + _CHUNK)
-        member[part] = clusters.labels(flat[part])
-        blended = (clusters.soft_labels(flat[part]) @ displacement).reshape(-1, 3, 4)
-        flow[part] = (blended[..., :3] @ flat[part][..., None])[..., 0] + blended[..., 3]
-    flow[flat[:, 2] <= 0] = np.nan
-    return member.reshape(points.shape[:2]), flow.reshape(points.shape)
+    member, flow = np.empty(points.shape[:2], np.int32), np.empty_like(points)
+    for at in range(0, len(points), _ROWS):
+        rows = slice(at, at + _ROWS)
+        known = np.nan_to_num(points[rows])
+        member[rows], soft = clusters.assign(known)
+        blended = (soft @ displacement).reshape(*known.shape[:2], 3, 4)
+        flow[rows] = (blended[..., :3] @ known[..., None])[..., 0] + blended[..., 3]
+    flow[member == COUNT] = np.nan
+    return member, flow
 
 
 def _regions(

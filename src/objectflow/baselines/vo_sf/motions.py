@@ -59,13 +59,13 @@ def cluster_motions(first: list[Level], second: list[Level], clusters: Clusters,
     camera, own = np.eye(4), np.tile(np.eye(4), (COUNT, 1, 1))
     trust = np.append(np.where(static, np.clip(1 - b, 0, None), 1.0), 0.0).astype(np.float32)
     for number, (a, second_level) in enumerate(zip(reversed(first), reversed(second), strict=True)):
-        soft = clusters.soft_labels(a.points)
+        labels, soft = clusters.assign(a.points)
         warped = second_level if number == 0 else fetch_second(second_level, a, blend(soft, geometry.inverse(own)))
         level = gradients(a, warped)
-        J, r = constraints(level, *uncertainty_weights(level, trust[clusters.labels(a.points)]))
+        J, r = constraints(level, *uncertainty_weights(level, trust[labels]))
         belongs = (soft > _BELONGS) & level.usable[..., None]
 
-        repeats = belongs[..., static].sum(-1)
+        repeats = belongs[..., static].sum(-1).astype(np.float32)
         here = repeats > 0
         twist = solve_twist(J[here], r[here], repeats[here], _CAUCHY_STATIC, plain_start=True)
         step = geometry.se3_exp(twist)

@@ -39,7 +39,7 @@ def segment(
     """
     residuals = _residuals(first, splat_second(second, first_T_second), clusters, labels)
     speed = float(np.linalg.norm(geometry.se3_log(first_T_second)))
-    return _solve(residuals, speed, clusters)
+    return solve_labels(residuals, speed, clusters)
 
 
 def _residuals(first: Level, warped: Level, clusters: Clusters, labels: NDArray[np.int32]) -> Array:
@@ -65,8 +65,11 @@ def _residuals(first: Level, warped: Level, clusters: Clusters, labels: NDArray[
     return np.asarray(np.where(clusters.used, PHOTOMETRIC_WEIGHT * mean_gray + mean_depth / distance, 0.0))
 
 
-def _solve(residuals: Array, speed: float, clusters: Clusters) -> Array:
-    """Linear least squares: each cluster near what its residual says, touching clusters alike, far ones static."""
+def solve_labels(residuals: Array, speed: float, clusters: Clusters) -> Array:
+    """The (24,) b of (24,) residuals: near what the residual says, alike where clusters touch, static where far.
+
+    Linear least squares; `speed` is the length of the camera's twist (m, rad), which raises the limits.
+    """
     used = clusters.used
     known = np.sort(residuals[used])
     middle = known[len(known) // 2]

@@ -65,7 +65,7 @@ def fetch_second(second: Level, first: Level, second_T_first: Floats) -> Level:
         A level on the first frame's pixels, depth 0 outside the image and on holes.
     """
     camera, (rows, columns) = second.camera, second.depth.shape
-    moved = (second_T_first[..., :3] @ first.points[..., None])[..., 0] + second_T_first[..., 3]
+    moved = np.einsum("hwij,hwj->hwi", second_T_first[..., :3], first.points) + second_T_first[..., 3]
     seen = (first.depth > 0) & (moved[..., 2] > 0)
     z = np.where(seen, moved[..., 2], 1)
     u = np.float32(camera.fx) * moved[..., 0] / z + np.float32(camera.cx)

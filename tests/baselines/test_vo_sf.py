@@ -1,0 +1,176 @@
+"""`vo-sf` whole: against the authors' own program, and on scenes with known motion."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import analytic
+import objectflow
+from objectflow import Camera, RgbdFrame, SceneMotion, geometry
+from objectflow.errors import FrameError
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+DATA, PROGRAM = SHARED / "data", SHARED / "reference" / "vosf"
+
+
+# --- the authors' program ---
+
+
+def read(name: str, number: int) -> RgbdFrame:
+    """A VGA frame reduced as the program reduces it: pixel (r, c) is VGA's (2r + 1, 2c); its own intrinsics."""
+    folder = DATA / name
+    camera, scale = Camera.read(folder / "camera.json")
+    vga = RgbdFrame.read(
+        folder / f"color{number}.png", folder / f"depth{number}.png", camera=camera, depth_scale=scale or 1000
+    )
+    own = Camera(320, 240, 263.672, 263.672, 159.5, 119.5)
+    return RgbdFrame(vga.color[1::2, ::2], vga.depth[1::2, ::2], own)
+
+
+@pytest.mark.skipif(not (DATA.is_dir() and PROGRAM.is_dir()), reason=f"no real pairs and program output in {SHARED}")
+@pytest.mark.parametrize("name", ["robot", "person_standing"])
+def test_what_the_authors_program_finds_is_found(name: str) -> None:
+    # The program's first frame, which carries its result, is here the current one.
+    curr, prev = read(name, 0), read(name, 1)
+    motion = objectflow.load("vo-sf", camera="moving")(prev, curr)
+    flow, b = np.moveaxis(np.load(PROGRAM / name / "flow.npy"), 0, -1), np.load(PROGRAM / name / "b.npy")
+    theirs = np.append(b > 0.667, False)[np.load(PROGRAM / name / "labels.npy")]
+    ours = motion.labels > 0
+    assert (ours & theirs).sum() / (ours | theirs).sum() >= 0.85
+    difference = np.linalg.norm(motion.scene_flow - flow, axis=-1)[ours & theirs]
+    assert np.median(difference) < 0.002
+    assert motion.camera_motion is not None
+    # The program gives the motion from frame 1 to frame 0, which here is curr_T_prev.
+    off = motion.camera_motion @ np.load(PROGRAM / name / "camera.npy").astype(np.float64)
+    assert np.linalg.norm(off[:3, 3]) < 0.001
+    assert np.degrees(geometry.rotation_angle(off[:3, :3])) < 0.1
+
+
+# --- scenes with known motion ---
+
+
+@cache
+def scene() -> analytic.AnalyticPair:
+    return analytic.make_scene(4, objects=(1, 2))
+
+
+@cache
+def found(camera: str = "static") -> SceneMotion:
+    return objectflow.load("vo-sf", camera=camera)(scene().prev, scene().curr)
+
+
+def test_a_large_object_is_found_and_moves_as_it_did() -> None:
+    truth = np.isin(scene().labels, list(scene().moving))
+    motion = found()
+    assert len(motion.objects) == 1
+    ours = motion.labels > 0
+    assert (ours & truth).sum() / (ours | truth).sum() > 0.5
+    error = np.linalg.norm(motion.scene_flow - scene().scene_flow, axis=-1)[truth]
+    assert error.mean() < 0.1 * np.linalg.norm(scene().scene_flow, axis=-1)[truth].mean()
+    obj = motion.objects[0]
+    assert obj.pixels == ours.sum()
+    assert 1 / 3 < obj.score <= 1
+    # The nearest rigid motion carries the centre as the flow does on the whole.
+    np.testing.assert_allclose(obj.translation, motion.scene_flow[ours].mean(0), atol=1e-5)
+
+
+def test_far_from_what_moves_the_flow_is_exactly_zero_for_a_static_camera() -> None:
+    motion = found()
+    assert motion.camera_motion is None
+    assert (motion.scene_flow == 0).all(-1).mean() > 0.5
+    assert (motion.scene_flow[motion.labels > 0] != 0).any(-1).all()
+
+
+def test_auto_calls_a_still_camera_static() -> None:
+    motion = found("auto")
+    assert motion.camera_motion is None
+    np.testing.assert_array_equal(motion.scene_flow, found().scene_flow)
+
+
+@pytest.mark.parametrize("camera", ["auto", "moving"])
+def test_the_motion_of_the_camera_is_found(camera: str) -> None:
+    true = geometry.se3_exp([0.008, -0.005, 0.01, 0.01, -0.015, 0.005])
+    pair = analytic.make_scene(3, objects=(1, 2), moving_share=0, camera_motion=true)
+    motion = objectflow.load("vo-sf", camera=camera)(pair.prev, pair.curr)
+    assert motion.camera_motion is not None
+    off = motion.camera_motion @ geometry.inverse(true)
+    assert np.degrees(geometry.rotation_angle(off[:3, :3])) < 0.1
+    moved = np.linalg.norm(pair.scene_flow, axis=-1)
+    error = np.linalg.norm(motion.scene_flow - pair.scene_flow, axis=-1)
+    assert error.mean() < 0.1 * moved.mean()
+
+
+# --- inputs of every kind ---
+
+
+def test_the_same_pair_gives_the_same_result() -> None:
+    again = objectflow.load("vo-sf", camera="static")(scene().prev, scene().curr)
+    np.testing.assert_array_equal(again.scene_flow, found().scene_flow)
+    np.testing.assert_array_equal(again.labels, found().labels)
+
+
+def test_a_larger_image_gives_the_same_motion_on_its_own_pixels() -> None:
+    large = analytic.make_scene(4, objects=(1, 2), width=640, height=480)
+    motion = objectflow.load("vo-sf", camera="static")(large.prev, large.curr)
+    assert motion.labels.shape == (480, 640)
+    truth = np.isin(large.labels, list(large.moving))
+    error = np.linalg.norm(motion.scene_flow - large.scene_flow, axis=-1)[truth]
+    assert error.mean() < 0.15 * np.linalg.norm(large.scene_flow, axis=-1)[truth].mean()
+    # Labels are decided by each pixel's own point, not enlarged in blocks.
+    assert (motion.labels[::2] != motion.labels[1::2]).any()
+    assert (motion.labels[:, ::2] != motion.labels[:, 1::2]).any()
+
+
+def test_flow_is_nan_exactly_where_depth_is_missing() -> None:
+    pair = scene()
+    depth = pair.curr.depth.copy()
+    depth[:, 200:] = 0
+    depth[::7, ::5] = 0
+    curr = dataclasses.replace(pair.curr, depth=depth)
+    motion = objectflow.load("vo-sf")(dataclasses.replace(pair.prev, depth=np.roll(depth, 3, 0)), curr)
+    np.testing.assert_array_equal(np.isnan(motion.scene_flow).all(-1), ~curr.valid)
+    assert (motion.labels[~curr.valid] == 0).all()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (8, 6), (50, 17)])
+def test_tiny_images_work(size: tuple[int, int]) -> None:
+    width, height = size
+    rng = np.random.default_rng(0)
+    camera = Camera(width, height, float(width), float(height), (width - 1) / 2, (height - 1) / 2)
+    prev, curr = (
+        RgbdFrame(
+            rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
+            rng.uniform(0.5, 2, (height, width)).astype(np.float32),
+            camera,
+        )
+        for _ in range(2)
+    )
+    motion = objectflow.load("vo-sf")(prev, curr)
+    assert motion.scene_flow.shape == (height, width, 3)
+    assert np.isfinite(motion.scene_flow).all()
+
+
+def test_one_measured_pixel_is_enough_and_absurd_depth_does_no_harm() -> None:
+    camera, color = Camera(320, 240, 264.0, 264.0, 159.5, 119.5), np.zeros((240, 320, 3), np.uint8)
+    lonely = np.zeros((240, 320), np.float32)
+    lonely[100, 100] = 1
+    motion = objectflow.load("vo-sf")(RgbdFrame(color, lonely, camera), RgbdFrame(color, lonely, camera))
+    assert np.isfinite(motion.scene_flow[100, 100]).all()
+    absurd = np.ones((240, 320), np.float32)
+    absurd[:50], absurd[60] = 1e30, 1e-30
+    motion = objectflow.load("vo-sf")(RgbdFrame(color, absurd, camera), RgbdFrame(color, absurd, camera))
+    assert (motion.scene_flow[70:] == 0).all()
+    assert motion.objects == ()
+
+
+def test_frames_without_depth_at_the_working_size_are_refused() -> None:
+    camera, depth = Camera(640, 480, 528.0, 528.0, 319.5, 239.5), np.zeros((480, 640), np.float32)
+    depth[0, 0] = 1  # not the pixel that is kept of its block
+    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, camera)
+    with pytest.raises(FrameError, match="depth"):
+        objectflow.load("vo-sf")(frame, frame)
