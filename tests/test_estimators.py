@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 
 import numpy as np
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 import analytic
 import objectflow
-from objectflow import Camera, RgbdFrame, correspondence, geometry, noise
+from objectflow import Camera, RgbdFrame, correspondence, find_weights, geometry, noise
 from objectflow.errors import FrameError, MethodError
+from small_networks import save_all
 
 Floats = NDArray[np.float32]
 
@@ -22,6 +23,15 @@ Floats = NDArray[np.float32]
 @cache
 def scene(seed: int) -> analytic.AnalyticPair:
     return analytic.make_scene(seed, objects=(2, 4), motion=(0.005, 0.015), max_angle_deg=6)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def released_weights(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Small networks in the place of the released ones, so that every method loads."""
+    folder = save_all(tmp_path_factory.mktemp("weights"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(find_weights, "packaged_folder", lambda: folder)
+        yield
 
 
 def with_holes(frame: RgbdFrame) -> RgbdFrame:

@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 _LEVER = 0.05
 """Metres: how far from its centre a small object's surface lies."""
+STILL = 0.004
+"""Metres: an object whose points move by less stands still, as far as a depth camera can tell."""
 
 
 def average_motions(
@@ -24,7 +26,7 @@ def average_motions(
     center: NDArray[Any],
     *,
     confidence: NDArray[Any],
-    still: float = 0.004,
+    still: float = STILL,
 ) -> tuple[ObjectMotion, ...]:
     """Average X, T and the rotation over each object's pixels.
 
@@ -66,8 +68,7 @@ def average_motions(
     X, T = mean(centers), mean(shifts)
     R = mean_rotation(mean(geometry.so3_exp(vectors)))
     score = np.clip(mean(sure), 0, 1)
-    turn = geometry.rotation_angle(R)
-    moving = (np.linalg.norm(T, axis=-1) > still) | (turn * _LEVER > still)
+    moving = moves(R, T, still)
     # P_prev = R (P - X) + X + T
     prev_T_curr = geometry.make_transform(R, X + T - (R @ X[..., None])[..., 0])
     return tuple(
@@ -81,6 +82,12 @@ def average_motions(
         )
         for k in range(len(ids))
     )
+
+
+def moves(rotation: Array, translation: Array, still: float = STILL) -> NDArray[np.bool_]:
+    """(..., 3, 3) and (..., 3) metres of the centre -> (...,) bool: see `still` of `average_motions`."""
+    turn = geometry.rotation_angle(rotation)
+    return np.asarray((np.linalg.norm(translation, axis=-1) > still) | (turn * _LEVER > still))
 
 
 def mean_rotation(matrix_mean: Array) -> Array:

@@ -1,0 +1,30 @@
+"""Files of small networks with random weights, for tests that need some and not what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from objectflow.networks import NetworkSettings, SceneFlowNet
+from objectflow.networks.weights import save_weights
+
+TINY = dataclasses.replace(NetworkSettings().scaled(0.125), reach=1, trunk_blocks=(1, 1))
+VARIANTS = {"sceneflownet-s": False, "sceneflownet-c": True, "sceneflownet-c-vl": True}
+"""Every learned method, and whether it has a correlation."""
+
+
+def save(path: Path, settings: NetworkSettings = TINY, **metadata: Any) -> Path:
+    """Write a network; by default as weights of `sceneflownet-c-vl`, trained at 120x160."""
+    network = SceneFlowNet(settings, generator=torch.Generator().manual_seed(0))
+    save_weights(path, network, {"variant": "sceneflownet-c-vl", "size": [120, 160], **metadata})
+    return path
+
+
+def save_all(folder: Path) -> Path:
+    """Write one for each learned method, under the names that released weights have."""
+    for name, correlation in VARIANTS.items():
+        save(folder / f"{name}.safetensors", dataclasses.replace(TINY, correlation=correlation), variant=name)
+    return folder
