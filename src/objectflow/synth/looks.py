@@ -52,10 +52,14 @@ def draw_floor(rng: np.random.Generator, images: Sequence[Path], image_share: fl
 
 
 def draw_lights(rng: np.random.Generator, count: tuple[int, int]) -> tuple[Light, ...]:
-    """Lamps around the scene, warm to cold, of different energies that make a picture neither dark nor white."""
+    """Lamps around the scene, warm to cold, of different energies that make a picture neither dark nor white.
+
+    Most of the light comes from all sides, as walls and a ceiling send it back to a table: shadows are soft, and a
+    thing that turns keeps most of its brightness.
+    """
     number = int(rng.integers(count[0], count[1] + 1))
-    energies = rng.dirichlet(np.full(number, 2.0)) * rng.uniform(0.7, 1.15)
-    ambient = rng.uniform(0.15, 0.35) / number
+    energies = rng.dirichlet(np.full(number, 2.0)) * rng.uniform(0.2, 0.6)
+    ambient = rng.uniform(0.5, 0.75) / number
     lights = []
     for energy in energies:
         azimuth, elevation = rng.uniform(0, 2 * math.pi), math.radians(rng.uniform(35, 85))
