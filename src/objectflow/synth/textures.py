@@ -18,6 +18,8 @@ Float = NDArray[np.float32]
 FLOOR_KINDS = ("wood", "tiles", "fabric", "gravel", "noise", "checker", "plain", "paper")
 OBJECT_KINDS = ("label", "stripes", "noise", "plain")
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
+MIN_CONTRAST = 45
+"""Grey levels between a word and what it is printed on."""
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,7 @@ def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> 
 
 def _letters(rng: np.random.Generator, out: Float, color: Float, lines: int, left: float, right: float) -> None:
     """Rows of dashes as long as words, in place: print as it looks from half a metre."""
-    size = out.shape[0]
-    height = size / lines
+    height, size = out.shape[0] / lines, out.shape[1]
     for line in range(lines):
         x = left * size
         top, bottom = int((line + 0.3) * height), int((line + 0.7) * height)
@@ -213,25 +214,43 @@ def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) ->
     return np.asarray(out if vertical else out.swapaxes(0, 1), dtype=np.float32) * _shade(rng, size, 0.08)
 
 
+def _word(word: str, size: int, left: float, middle: float) -> Float:
+    """A (size, size) picture, 1 = ink, of a word that is whole: two thirds of the picture wide at most.
+
+    `left` is the share of the free width left of it, `middle` is the share of the height above its middle.
+    """
+    font, thick, margin = cv2.FONT_HERSHEY_SIMPLEX, max(1, size // 40), 0.05 * size
+    scale = size / 110
+    (width, _), _ = cv2.getTextSize(word, font, scale, thick)
+    scale *= min(1.0, 0.66 * size / width)
+    (width, height), _ = cv2.getTextSize(word, font, scale, thick)
+    x, y = margin + left * (size - width - 2 * margin), middle * size + height / 2
+    ink = np.zeros((size, size), dtype=np.uint8)
+    cv2.putText(ink, word, (round(x), round(y)), font, scale, (255,), thick)
+    return ink.astype(np.float32) / np.float32(255)
+
+
+def _readable(color: Float, ground: Float) -> Float:
+    """The colour, or black or white where it could not be read on the ground."""
+    far = float(np.abs(color - ground).mean()) > MIN_CONTRAST
+    return color if far else np.full(3, 20 if ground.mean() > 127 else 235, dtype=np.float32)
+
+
 def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
     out = _plain(rng, size, scale, colors)
-    top, bottom = np.sort(rng.uniform(0.1, 0.9, 2))
-    bottom = max(bottom, top + 0.3)
-    cv2.rectangle(out, (0, int(top * size)), (size, int(bottom * size)), colors[1].tolist(), -1)
     for _ in range(int(rng.integers(1, 4))):
         x, y = (rng.random(2) * size).astype(int)
         cv2.circle(out, (int(x), int(y)), int(rng.uniform(0.06, 0.2) * size), colors[2].tolist(), -1)
+    # The band with the name comes above the small print, and both above the spots, so that both can be read.
+    top, height = rng.uniform(0.04, 0.25), rng.uniform(0.24, 0.34)
+    cv2.rectangle(out, (0, int(top * size)), (size, int((top + height) * size)), colors[1].tolist(), -1)
     word = "".join(chr(65 + letter) for letter in rng.integers(0, 26, int(rng.integers(3, 7))))
-    thick = max(1, size // 40)
-    place = (int(rng.uniform(0, 0.3) * size), int((top + 0.22) * size))
-    ink = np.zeros((size, size), dtype=np.uint8)
-    cv2.putText(ink, word, place, cv2.FONT_HERSHEY_SIMPLEX, size / 110, (255,), thick)
-    out = _mix(out, colors[2], ink.astype(np.float32) / np.float32(255))
-    inset = out[int(0.6 * size) :, int(0.55 * size) :].copy()
-    side = inset.shape[0]
-    panel = np.full((side, side, 3), 225, dtype=np.float32)
-    _letters(rng, panel, np.full(3, 40, dtype=np.float32), 8, 0.08, 0.92)
-    out[int(0.6 * size) :, int(0.55 * size) : int(0.55 * size) + side] = panel[:, : inset.shape[1]]
+    ink = _word(word, size, float(rng.random()), top + height / 2)
+    out = _mix(out, _readable(colors[2], colors[1]), ink)
+    rows, columns = slice(int(0.63 * size), int(0.97 * size)), slice(int(0.5 * size), int(0.96 * size))
+    panel = np.full_like(out[rows, columns], 225)
+    _letters(rng, panel, np.full(3, 40, dtype=np.float32), 7, 0.06, 0.94)
+    out[rows, columns] = panel
     return out
 
 
