@@ -18,7 +18,7 @@ from objectflow.errors import DatasetError
 
 EXAMPLES = """\
   objectflow show data --key train-000012
-  objectflow show data --key test-000003 --out sequence.png
+  objectflow show data --key test-sequence-000003 --out sequence.png
 """
 
 

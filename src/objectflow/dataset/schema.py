@@ -172,7 +172,7 @@ class SequenceRow:
     """One frame of a sequence with its truth; the rows of a sequence follow each other in order of time.
 
     Attributes:
-        sequence: for example "test-000003".
+        sequence: for example "test-sequence-000003".
         frame: the simulation's frame number, at 60 Hz.
         image: colour and depth.
         labels: (H, W) int32, 0 = background.

@@ -85,7 +85,8 @@ class Scenes:
                     clock.start()
                     scene, models = draw_scene_and_models(rng, library, self.split, settings, skipped.append)
                     clock.lap("draw")
-                    name = f"{self.split}-{task.scene:06d}"
+                    word = "" if task.kind == "pairs" else "sequence-"
+                    name = f"{self.split}-{word}{task.scene:06d}"
                     maker = _pairs if task.kind == "pairs" else _sequence
                     rows = maker(name, scene, models, renderer, clock, self.views)
                     return SceneRows(rows, rejected, tuple(dict.fromkeys(skipped)), seconds)
