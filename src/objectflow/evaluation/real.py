@@ -8,10 +8,6 @@
 
 from __future__ import annotations
 
-import struct
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +18,7 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import DatasetError
+from objectflow.evaluation.archives import read_archive
 from objectflow.evaluation.truth import PairTruth, TrueObject, make_truth
 from objectflow.frame import RgbdFrame
 from objectflow.readers.pair import is_pair, open_pair
@@ -30,25 +27,6 @@ Array = NDArray[np.float64]
 
 TRUTH = "truth.npz"
 
-# What np.load makes of broken archives: cut off, another compression, a header that is no Python or asks for more
-# memory than there is, a single array where an archive should be.
-_BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    OverflowError,
-    MemoryError,
-    SyntaxError,
-    RecursionError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    tokenize.TokenError,
-)
 _LARGEST_BALL, _BALL_MISFIT = 0.06, 0.004
 """Metres: visible points this near to a sphere of a smaller radius are a ball's."""
 
@@ -121,17 +99,8 @@ def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> 
     prev, curr = open_pair(folder)
     truth = None
     if (folder / TRUTH).is_file():
-        truth = _truth(folder, curr, _read_arrays(folder / TRUTH), translation_only)
+        truth = _truth(folder, curr, read_archive(folder / TRUTH), translation_only)
     return RealPair(folder.name, prev, curr, truth)
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except _BROKEN as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise DatasetError(f"{path}: not a NumPy archive that can be read: {reason}") from error
 
 
 def _truth(
