@@ -41,7 +41,7 @@ def _remember_versions() -> None:
     A release that has the function elsewhere is only slower.
     """
     with suppress(ImportError, AttributeError):
-        package = importlib.import_module("mujoco_warp._src.util_pkg")
+        package: Any = importlib.import_module("mujoco_warp._src.util_pkg")
         if not hasattr(package.check_version, "cache_info"):
             package.check_version = functools.cache(package.check_version)
 
