@@ -46,6 +46,9 @@ VERBS: dict[str, VerbEntry] = {
     "generate": VerbEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
     "check": VerbEntry("verify a data set and say what is in it", "objectflow.cli.check", "Check"),
     "show": VerbEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
+    "check-pair": VerbEntry(
+        "what may be wrong with two frames, in plain words", "objectflow.cli.check_pair", "CheckPair"
+    ),
     "methods": VerbEntry("every method with one line each", "objectflow.cli.methods", "Methods"),
     "info": VerbEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
 }

@@ -1,4 +1,4 @@
-"""The arguments that `estimate` and `run` share."""
+"""The arguments that the verbs for frames share."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from objectflow.errors import ReaderError
 from objectflow.estimator import DEFAULT_METHOD, Estimator, load
-from objectflow.readers import CameraOptions
+from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
 
 
 def option(metavar: str, default: str = "") -> Any:
@@ -18,8 +19,8 @@ def option(metavar: str, default: str = "") -> Any:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodArguments:
-    """Camera, method and output."""
+class CameraArguments:
+    """How to read images as frames."""
 
     camera_file: Annotated[Path | None, option("FILE", "camera.json beside the images")] = None
     """JSON with width, height, fx, fy, cx, cy and perhaps depth_scale; or fr1, fr2, fr3, the TUM cameras."""
@@ -30,6 +31,15 @@ class MethodArguments:
     depth_scale: Annotated[float | None, option("S", "the camera file's, or 1000; 5000 for a TUM directory")] = None
     """Depth units a metre."""
 
+    def camera_options(self) -> CameraOptions:
+        """What the readers need."""
+        return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodArguments(CameraArguments):
+    """Camera, method and output."""
+
     method: Annotated[str, option("NAME", DEFAULT_METHOD)] = DEFAULT_METHOD
     """How to estimate; `objectflow methods` lists the choices."""
 
@@ -39,10 +49,19 @@ class MethodArguments:
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
     """Output folder, new or empty; an earlier result of the same kind may be there."""
 
-    def camera_options(self) -> CameraOptions:
-        """What the readers need."""
-        return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale)
-
     def estimator(self) -> Estimator:
         """The method, ready to be called."""
         return load(self.method, camera=self.camera)
+
+
+def open_two(paths: tuple[Path, ...], options: CameraOptions) -> FrameSequence:
+    """The two frames of a pair folder, or of four files.
+
+    Raises:
+        ReaderError: neither one path nor four, or a path that is not there.
+    """
+    if len(paths) == 1:
+        return open_pair(paths[0], options)
+    if len(paths) == 4:
+        return open_files(*paths, options=options)
+    raise ReaderError(f"expected a pair folder or four files (COLOR0 DEPTH0 COLOR1 DEPTH1), not {len(paths)} paths")

@@ -8,11 +8,9 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.arguments import MethodArguments, open_two, option
 from objectflow.cli.output import new_result, print_objects, quiet_libraries, write_result
-from objectflow.errors import ReaderError
 from objectflow.frame import check_pair
-from objectflow.readers import FrameSequence, open_files, open_pair
 
 EXAMPLES = """\
   objectflow estimate PAIR_DIR
@@ -36,19 +34,10 @@ class Estimate(MethodArguments):
         """Read, estimate, write, print."""
         estimator = self.estimator()
         with quiet_libraries():
-            prev, curr = self._open()
+            prev, curr = open_two(self.paths, self.camera_options())
         check_pair(prev, curr)
         with new_result(self.out) as (folder, path):
             motion = estimator(prev, curr)
             write_result(folder, curr, motion)
         print_objects(motion)
         print(f"written to {path}")
-
-    def _open(self) -> FrameSequence:
-        if len(self.paths) == 1:
-            return open_pair(self.paths[0], self.camera_options())
-        if len(self.paths) == 4:
-            return open_files(*self.paths, options=self.camera_options())
-        raise ReaderError(
-            f"expected a pair folder or four files (COLOR0 DEPTH0 COLOR1 DEPTH1), not {len(self.paths)} paths"
-        )
