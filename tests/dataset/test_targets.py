@@ -82,6 +82,18 @@ def test_radius_is_half_the_way_to_the_nearest_trajectory() -> None:
     np.testing.assert_array_equal(targets.radius[1, 0][labels[1] == 3], 0.5)
 
 
+def test_rotation_counts_into_the_radius_on_request() -> None:
+    rows, labels, points = a_batch()
+    targets = make_targets(ObjectTable.from_rows(rows), labels, points, rotation_weight=0.2)
+    features = {
+        entry.label: np.r_[entry.center, entry.center + entry.translation, 0.2 * entry.rotation_vector]
+        for entry in rows[0]
+    }
+    for label, own in features.items():
+        nearest = min(np.linalg.norm(own - other) for k, other in features.items() if k != label)
+        np.testing.assert_allclose(targets.radius[0, 0][labels[0] == label], nearest / 2, rtol=1e-5)
+
+
 def test_seeds_are_the_nearest_pixels_to_the_center() -> None:
     rows, labels, points = a_batch()
     targets = make_targets(ObjectTable.from_rows(rows), labels, points, nearest=40)

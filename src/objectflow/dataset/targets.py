@@ -83,7 +83,9 @@ class Targets:
     eta: Tensor
 
 
-def make_targets(table: ObjectTable, labels: Tensor, points: Tensor, *, nearest: int = NEAREST) -> Targets:
+def make_targets(
+    table: ObjectTable, labels: Tensor, points: Tensor, *, nearest: int = NEAREST, rotation_weight: float = 0.0
+) -> Targets:
     """Targets of a batch.
 
     Args:
@@ -91,6 +93,7 @@ def make_targets(table: ObjectTable, labels: Tensor, points: Tensor, *, nearest:
         labels: (B, H, W) integer label image of the current frame.
         points: (B, 3, H, W) metres, the current frame's points; NaN or z <= 0 where depth is missing.
         nearest: how many pixels an object teaches as its centre.
+        rotation_weight: metres a radian; with it, B counts rotations into the trajectories, as the grouping may.
 
     Raises:
         DatasetError: shapes that do not fit, or a label that the table lacks.
@@ -121,7 +124,7 @@ def make_targets(table: ObjectTable, labels: Tensor, points: Tensor, *, nearest:
         translation=translation,
         center=center,
         flow=flow,
-        radius=_spread(_radii(table)[..., None], index),
+        radius=_spread(_radii(table, rotation_weight)[..., None], index),
         eta=_nearest_to_center(offset.norm(dim=1), index, measured, table.label.shape[1], nearest),
     )
 
@@ -159,9 +162,9 @@ def _rotation_matrices(vectors: Tensor) -> Tensor:
     return rotation
 
 
-def _radii(table: ObjectTable) -> Tensor:
+def _radii(table: ObjectTable, rotation_weight: float) -> Tensor:
     """(B, K) half the distance of each trajectory `[X, X + T]` to the nearest other (paper, equation 6)."""
-    trajectory = torch.cat([table.center, table.center + table.translation], dim=-1)
+    trajectory = torch.cat([table.center, table.center + table.translation, rotation_weight * table.rotation], dim=-1)
     distance = (trajectory[:, :, None] - trajectory[:, None]).norm(dim=-1)
     real = table.label > 0
     other = real[:, :, None] & real[:, None] & ~torch.eye(real.shape[1], dtype=torch.bool, device=real.device)
