@@ -7,26 +7,29 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import rigid
+from objectflow import correspondence, rigid
 from objectflow.averaging import moves
 from objectflow.frame import RgbdFrame
 from objectflow.instances import nearest
 from objectflow.motion import ObjectMotion
 from objectflow.noise import depth_sigma
 
+Array = NDArray[np.float64]
+
 WIDTH = 640
 """Pixels: wider frames are narrowed to it first. More adds time, no exactness that the depth would bear."""
 POINTS = 2000
 """Of each object at most, spread evenly."""
+FEWEST_MATCHES = 6
+"""Fewer say nothing about a rigid motion that chance could not."""
 
 
 def refine_objects(
     prev: RgbdFrame, curr: RgbdFrame, labels: NDArray[np.int32], objects: tuple[ObjectMotion, ...]
 ) -> tuple[ObjectMotion, ...]:
-    """Refine each object's motion from where it stands; see `rigid.refine`.
+    """Refine each object's motion by `rigid.refine`, from where it stands and from what image matches in its mask say.
 
-    A motion that explains the previous depth worse than the one that it started from is dropped, so that no object's
-    truncated depth error grows.
+    The best of the two and of the motion as it was, by `depth_cost`, is kept: no object's depth error grows.
 
     Args:
         prev, curr: the frames, of one size.
@@ -44,23 +47,29 @@ def refine_objects(
         labels = labels[rows[:, None], columns]
         prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
     target = rigid.Target(prev)
+    matches = correspondence.find_matches(prev, curr)
+    column, row = np.rint(matches.pixels).astype(np.intp).T
+    owner = labels[np.clip(row, 0, labels.shape[0] - 1), np.clip(column, 0, labels.shape[1] - 1)]
     out = []
     for obj in objects:
         source = rigid.make_source(curr, labels == obj.id, limit=POINTS)
-        motion = refine_one(target, source, obj.prev_T_curr)
+        starts = [obj.prev_T_curr]
+        own = matches[owner == obj.id]
+        if len(own.curr) >= FEWEST_MATCHES:
+            starts.append(rigid.fit_matches(own, curr.camera)[0])
+        motion = refine_one(target, source, starts)
         refined = dataclasses.replace(obj, prev_T_curr=motion)
         out.append(dataclasses.replace(refined, moving=bool(moves(motion[:3, :3], refined.translation))))
     return tuple(out)
 
 
-def refine_one(target: rigid.Target, source: rigid.Source, start: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The refined motion if it explains the depth at least as well as `start`, else `start`."""
+def refine_one(target: rigid.Target, source: rigid.Source, starts: list[Array]) -> Array:
+    """The motion that explains the depth best among the first start and what refining each start gives."""
     if not len(source.points):
-        return start
-    refined = rigid.refine(target, source, start)
-    before = rigid.judge(target, source, start)
-    better = np.isfinite(refined.prev_T_curr).all() and depth_cost(refined, source) <= depth_cost(before, source)
-    return refined.prev_T_curr if better else start
+        return starts[0]
+    found = [rigid.refine(target, source, start) for start in starts]
+    found = [one for one in found if np.isfinite(one.prev_T_curr).all()]
+    return min([*found, rigid.judge(target, source, starts[0])], key=lambda one: depth_cost(one, source)).prev_T_curr
 
 
 def depth_cost(found: rigid.Refined, source: rigid.Source) -> float:
