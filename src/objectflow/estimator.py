@@ -44,6 +44,11 @@ METHODS: dict[str, MethodEntry] = {
         "objectflow.baselines.dense_flow",
         "DenseFlow",
     ),
+    "pd-flow": MethodEntry(
+        "Jaimez et al. 2015: dense variational flow of brightness and depth; flow only, no objects",
+        "objectflow.baselines.pd_flow.estimator",
+        "PdFlow",
+    ),
     "vo-sf": MethodEntry(
         "Jaimez et al. 2017: geometric clusters, static or moving, with a rigid motion each",
         "objectflow.baselines.vo_sf.estimator",

@@ -1,8 +1,9 @@
 """`vo-sf`: joint visual odometry and scene flow on geometric clusters.
 
 M. Jaimez, C. Kerl, J. Gonzalez-Jimenez, D. Cremers: Fast Odometry and Scene Flow from RGB-D Cameras based on Geometric
-Clustering, ICRA 2017. Written from the paper and from what the authors' program does and prints; none of its code.
-Two frames, here the current one (first, it carries the result) and the previous one (second). In order:
+Clustering, ICRA 2017. Written afresh, without any of the authors' code; constants and the order of the steps are those
+of their published program. Two frames: the current one is the first, which carries the result, the previous one the
+second. In order:
 
 1. `pyramid`: five levels, 15x20 to 240x320, halved without mixing surfaces.
 2. `clusters`: k-means of the first frame's points into 24 clusters; those that touch; soft labels
