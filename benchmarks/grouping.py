@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import platform
 import statistics
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -22,6 +21,7 @@ from torch import Tensor
 
 from objectflow.averaging import average_motions
 from objectflow.grouping import GroupingSettings, group, trajectory_feature
+from timing import time_each
 
 
 @dataclasses.dataclass
@@ -90,15 +90,7 @@ def obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Ten
 
 
 def milliseconds(work: Callable[[], object], repeats: int, device: str) -> float:
-    work()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        if device == "cuda":
-            torch.cuda.synchronize()
-        seconds.append(time.perf_counter() - start)
-    return 1000 * statistics.median(seconds)
+    return 1000 * statistics.median(time_each(lambda _: work(), range(repeats + 1), device))
 
 
 def main(settings: Settings) -> None:

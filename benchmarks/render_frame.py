@@ -12,7 +12,6 @@ import multiprocessing
 import os
 import platform
 import statistics
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +21,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
+
+from timing import time_each
 
 
 @dataclasses.dataclass
@@ -109,12 +110,8 @@ def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
 
 def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: int) -> tuple[float, float]:
     """Median and slowest seconds a frame; the first scene only warms up."""
-    seconds = []
-    for scene in scenes:
-        start = time.perf_counter()
-        render(scene)
-        seconds.append((time.perf_counter() - start) / frames)
-    return statistics.median(seconds[1:]), max(seconds[1:])
+    seconds = [each / frames for each in time_each(render, scenes)]
+    return statistics.median(seconds), max(seconds)
 
 
 def time_ray_tracer(settings: Settings, samples: int) -> tuple[float, float]:

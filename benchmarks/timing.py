@@ -1,0 +1,23 @@
+"""How the benchmarks of one process take time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+def time_each(work: Callable[[Item], object], items: Iterable[Item], device: str = "cpu") -> list[float]:
+    """Wall-clock seconds of the work on each item but the first, which only warms up; to the end of what CUDA does."""
+    seconds = []
+    for item in items:
+        start = time.perf_counter()
+        work(item)
+        if device == "cuda":
+            import torch
+
+            torch.cuda.synchronize()
+        seconds.append(time.perf_counter() - start)
+    return seconds[1:]
