@@ -54,6 +54,11 @@ METHODS: dict[str, MethodEntry] = {
         "objectflow.baselines.vo_sf.estimator",
         "VoSf",
     ),
+    "sr-flow": MethodEntry(
+        "Quiroga et al. 2014: a twist a pixel, piecewise constant; rigid camera motion on request; flow only",
+        "objectflow.baselines.sr_flow.estimator",
+        "SRFlow",
+    ),
     "sceneflownet-c-vl": MethodEntry(
         "the paper's network with correlation and all losses; needs weights",
         "objectflow.learned",
