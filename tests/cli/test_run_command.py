@@ -42,7 +42,7 @@ def test_one_result_folder_a_pair(sequence: Path, tmp_path: Path, capsys: pytest
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
     pairs = {f"pair_{i:06d}_{i + 1:06d}" for i in range(4)}
-    assert names(out) == pairs | {"settings.json", "summary.csv"}
+    assert names(out) == pairs | {"settings.json", "summary.csv", "tracks.json", "trajectories"}
     assert all(names(out / pair) == RESULT_FILES for pair in pairs)
     rows = list(csv.DictReader((out / "summary.csv").open()))
     assert [(row["prev"], row["curr"], row["moving"]) for row in rows] == [(str(i), str(i + 1), "0") for i in range(4)]
@@ -53,7 +53,7 @@ def test_every_takes_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--every", "2", "--out", str(out)]) == 0
     assert {"pair_000000_000002", "pair_000002_000004"} < names(out)
-    assert len(names(out)) == 4
+    assert len(names(out)) == 6
 
 
 def test_finished_pairs_are_kept_and_the_rest_is_done(
@@ -117,7 +117,7 @@ def test_an_interrupt_is_130_and_keeps_what_is_done(
     assert names(out) == {"settings.json", "pair_000000_000001", "pair_000001_000002"}
     monkeypatch.setattr(module, "write_result", write)
     assert main(command) == 0
-    assert len(names(out)) == 6
+    assert len(names(out)) == 8
 
 
 def test_a_bad_first_frame_leaves_nothing(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,10 +130,29 @@ def test_a_bad_first_frame_leaves_nothing(sequence: Path, tmp_path: Path, capsys
 def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["run", str(PAIR), "--method", "zero"]) == 0
-    assert names(tmp_path / "objectflow_out" / "latest") == {"pair_000000_000001", "settings.json", "summary.csv"}
+    assert names(tmp_path / "objectflow_out" / "latest") == {
+        "pair_000000_000001",
+        "settings.json",
+        "summary.csv",
+        "tracks.json",
+        "trajectories",
+    }
 
 
 @pytest.mark.parametrize("every", ["0", "5"])
 def test_a_step_without_pairs(sequence: Path, every: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(sequence), "--method", "zero", "--every", every]) == 2
     assert "every" in capsys.readouterr().err
+
+
+def test_objects_are_followed_into_trajectories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(PAIR), "--out", str(tmp_path / "out")]) == 0
+    assert "3 objects followed" in capsys.readouterr().out
+    tracks = json.loads((tmp_path / "out" / "tracks.json").read_text())["tracks"]
+    objects = json.loads((tmp_path / "out" / "pair_000000_000001" / "objects.json").read_text())["objects"]
+    for track, obj in zip(tracks, objects, strict=True):
+        first, last = (np.array(pose) for pose in track["world_T_object"])
+        # The world is the first frame's camera, which stood still: the step is the object's motion, backwards.
+        np.testing.assert_allclose(first @ np.linalg.inv(last), np.array(obj["prev_T_curr"]), atol=1e-9)
+        lines = np.loadtxt(tmp_path / "out" / "trajectories" / f"object_{track['id']:03d}.txt")
+        np.testing.assert_allclose(lines[:, 1:4], [first[:3, 3], last[:3, 3]], atol=1e-6)

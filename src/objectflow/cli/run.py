@@ -22,10 +22,14 @@ from tyro.conf import Positional
 from objectflow import __version__, files
 from objectflow.cli.arguments import MethodArguments, option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
+from objectflow.dataset.manifest import hash_file
 from objectflow.errors import ReaderError, ResultError, StorageError
-from objectflow.frame import check_pair
+from objectflow.estimator import Estimator
+from objectflow.frame import RgbdFrame, check_pair
 from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSequence, open_source
+from objectflow.track_files import TRACKS, TRAJECTORIES, write_tracks
+from objectflow.tracking import Tracker
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
@@ -40,7 +44,7 @@ LONGEST_TABLE = 40
 
 @dataclass(frozen=True)
 class Run(MethodArguments):
-    """Estimate every consecutive pair of a sequence: one result folder a pair, and a table.
+    """Estimate every consecutive pair of a sequence: one result folder a pair, a table, and a trajectory an object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt) or a folder of numbered frames
     (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png). Finished pairs are skipped.
@@ -61,7 +65,7 @@ class Run(MethodArguments):
             # A source whose first frames are bad must leave no output folder behind.
             check_pair(*(sequence[index] for index in pairs[0]))
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
-        with _claim(out, self._settings(sequence)):
+        with _claim(out, self._settings(sequence, estimator)):
             if self.out is None:
                 link_latest(out)
             todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
@@ -78,7 +82,11 @@ class Run(MethodArguments):
                         write_result(folder, curr, estimator(prev, curr))
                     last = (curr_index, curr)
                     progress.advance(task)
+            with quiet_libraries():
+                count = _track(out, pairs, sequence)
             _summarise(out, pairs, skipped=len(pairs) - len(todo))
+            if count:
+                print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
         print(f"written to {out}")
 
     def _pairs(self, sequence: FrameSequence) -> list[tuple[int, int]]:
@@ -92,8 +100,9 @@ class Run(MethodArguments):
             )
         return list(itertools.pairwise(indices))
 
-    def _settings(self, sequence: FrameSequence) -> dict[str, Any]:
+    def _settings(self, sequence: FrameSequence, estimator: Estimator) -> dict[str, Any]:
         """Everything that the results depend on."""
+        weights = getattr(estimator, "weights", None)
         return {
             "source": str(self.source.resolve()),
             "every": self.every,
@@ -101,6 +110,8 @@ class Run(MethodArguments):
             "camera": self.camera,
             "intrinsics": sequence.camera.to_dict(),
             "depth_scale": sequence.depth_scale,
+            "rigid": self.rigid,
+            "weights_sha256": None if weights is None else hash_file(Path(weights)),
             "version": __version__,
         }
 
@@ -153,6 +164,30 @@ def _check_settings(out: Path, settings: dict[str, Any]) -> None:
 
 def _name(pair: tuple[int, int]) -> str:
     return f"pair_{pair[0]:06d}_{pair[1]:06d}"
+
+
+def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSequence) -> int:
+    """Link the objects of all pairs and write their trajectories; return how many there are.
+
+    Read back from the results, so that a continued run links as an undisturbed one does.
+    """
+    tracker = Tracker()
+    timed = all(sequence[index].timestamp is not None for index in (pairs[0][0], pairs[-1][1]))
+    last_time = None
+    for prev_index, curr_index in pairs:
+        curr = sequence[curr_index]
+        if last_time is None:
+            last_time = _time(sequence[prev_index], prev_index, timed)
+        time = _time(curr, curr_index, timed)
+        tracker.update(last_time, curr, time, SceneMotion.load(out / _name((prev_index, curr_index))))
+        last_time = time
+    write_tracks(out, tracker)
+    return len(tracker.tracks)
+
+
+def _time(frame: RgbdFrame, index: int, timed: bool) -> float:
+    """The frame's own time, or its number where a source has no times."""
+    return float(frame.timestamp) if timed and frame.timestamp is not None else float(index)
 
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
