@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import socket
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -342,6 +343,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], list[Any]]:
             return str(result)
 
         monkeypatch.setattr(huggingface_hub, "hf_hub_download", download)
+        monkeypatch.setattr(find_weights, "_unreachable", lambda _: None)
         return asked
 
     return answer
@@ -354,15 +356,32 @@ def test_the_hub_is_asked_for_the_methods_file(weights: Path, hub: Any, monkeypa
     monkeypatch.setattr(find_weights, "packaged_folder", lambda: weights.parent / "none")
     assert find_weights.find_weights(NAME) == weights
     file = f"{NAME}.safetensors"
-    assert asked == [(("some/one", file), {"revision": "v2"}), (("some/other", file), {"revision": None})]
+    assert asked == [
+        (("some/one", file), {"revision": "v2", "local_files_only": False}),
+        (("some/other", file), {"revision": None, "local_files_only": False}),
+    ]
 
 
-def test_a_hub_out_of_reach_is_one_line(hub: Any) -> None:
-    from huggingface_hub.errors import LocalEntryNotFoundError
+def test_a_hub_that_has_nothing_is_one_line(hub: Any) -> None:
+    from huggingface_hub.errors import EntryNotFoundError
 
-    hub(LocalEntryNotFoundError("We cannot connect\nto the server"))
-    with pytest.raises(MethodError, match=r"hf://a/b: cannot get \S+ We cannot connect: or name"):
+    hub(EntryNotFoundError("There is no such file.\nRequest ID: 7"))
+    with pytest.raises(MethodError, match=r"hf://a/b: cannot get \S+ There is no such file: name a file instead$"):
         objectflow.load(NAME, weights="hf://a/b")
+
+
+def test_a_hub_out_of_reach_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    constants = pytest.importorskip("huggingface_hub").constants
+    with socket.socket() as taken:  # bound and not listening: every connection is refused
+        taken.bind(("127.0.0.1", 0))
+        monkeypatch.setattr(constants, "ENDPOINT", f"http://127.0.0.1:{taken.getsockname()[1]}")
+        monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
+        for address, reason in (("a/b", "no connection to http"), ("no name!", "no connection to http")):
+            with pytest.raises(MethodError, match=f"hf://{address}: cannot get .*{reason}.*: name a file instead$"):
+                objectflow.load(NAME, weights=f"hf://{address}")
+    assert capfd.readouterr().err == ""
 
 
 def test_the_hub_without_its_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

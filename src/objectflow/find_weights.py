@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import urllib.error
+import urllib.request
 from importlib import resources
 from pathlib import Path
 
@@ -12,6 +14,8 @@ HUB = "hf://"
 """`hf://OWNER/NAME` or `hf://OWNER/NAME@REVISION` names a repository on the hub that holds `<method>.safetensors`."""
 HUB_VARIABLE = "OBJECTFLOW_HUB"
 """An environment variable: the repository, OWNER/NAME, that is asked where the package has no weights of a method."""
+_PATIENCE = 10
+"""Seconds to wait for the hub's answer."""
 TRAINED = ("weights.safetensors", "best/weights.safetensors", "latest/weights.safetensors")
 """What training writes into its output folder."""
 
@@ -66,18 +70,35 @@ def _from_disk(path: Path, method: str) -> Path:
 
 
 def _from_hub(repository: str, method: str) -> Path:
-    """Download into the hub library's own cache, or find it there."""
+    """Download into the hub library's own cache, or find it there where there is no connection."""
     try:
         import huggingface_hub
-        from huggingface_hub.errors import HfHubHTTPError, HFValidationError
     except ImportError as error:
         raise MissingExtraError(
             f'weights from {HUB}{repository} need huggingface_hub: pip install "objectflow[hub]", or name a file'
         ) from error
     name, _, revision = repository.partition("@")
+    # Asked without a connection, the library would try again and again, and tell of each time.
+    offline = _unreachable(huggingface_hub.constants.ENDPOINT)
     try:
-        return Path(huggingface_hub.hf_hub_download(name, f"{method}.safetensors", revision=revision or None))
-    # Without a network its HTTP library's own errors come through; they are OSErrors or not, by version.
-    except (HfHubHTTPError, HFValidationError, OSError, ValueError, RuntimeError) as error:
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-        raise MethodError(f"{HUB}{repository}: cannot get {method}.safetensors: {reason}: or name a file") from error
+        path = huggingface_hub.hf_hub_download(
+            name, f"{method}.safetensors", revision=revision or None, local_files_only=offline is not None
+        )
+    # The library raises errors of its own, of its HTTP library and of the disk, with other parents in every version.
+    except Exception as error:
+        reason = offline or (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
+        raise MethodError(
+            f"{HUB}{repository}: cannot get {method}.safetensors: {reason}: name a file instead"
+        ) from error
+    return Path(path)
+
+
+def _unreachable(address: str) -> str | None:
+    """Why a server cannot be reached; None where it answers, whatever it says."""
+    try:
+        urllib.request.urlopen(urllib.request.Request(address, method="HEAD"), timeout=_PATIENCE).close()
+    except urllib.error.HTTPError:
+        return None
+    except (OSError, ValueError) as error:
+        return f"no connection to {address}: {getattr(error, 'reason', error)}"
+    return None

@@ -37,7 +37,8 @@ class SceneFlowEstimator:
     Attributes:
         camera: "static", or "auto", which means the same here: the networks take the camera to stand still, and the
             flow off the objects is 0. "moving" is refused.
-        weights: a file, a folder, or `hf://OWNER/NAME`; None takes the released ones. See `find_weights`.
+        weights: a file, a folder, or `hf://OWNER/NAME`; None takes the released ones. See `find_weights`. Afterwards
+            the file that was found.
         rigid: "none" gives each pixel the network's own flow, "average" the flow of its object's mean motion (the
             paper's +Rig), "refine" that of the mean motion aligned with the previous frame's depth.
         device: "auto", "cpu", "cuda" or "cuda:N".
@@ -75,6 +76,8 @@ class SceneFlowEstimator:
         # A frozen dataclass sets what follows from its options once, here.
         object.__setattr__(self, "grouping", GroupingSettings(rotation_weight=weight, min_pixels=self.min_pixels))
         object.__setattr__(self, "size", _trained_size(metadata, path))
+        # The file that was found: whoever keeps results can say what they depend on.
+        object.__setattr__(self, "weights", path)
         # Channels last: 1.5 times as fast on a CPU.
         object.__setattr__(self, "network", network.to(memory_format=torch.channels_last))  # type: ignore[call-overload]
 

@@ -49,9 +49,23 @@ class MethodArguments(CameraArguments):
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
     """Output folder, new or empty; an earlier result of the same kind may be there."""
 
+    weights: Annotated[str | None, option("FILE|DIR|hf://OWNER/NAME", "the released ones")] = None
+    """Weights of a learned method."""
+
+    rigid: Annotated[Literal["none", "average", "refine"] | None, option("{none,average,refine}", "average")] = None
+    """Flow of a learned method: each pixel's own, its object's mean motion, or that aligned with the depth."""
+
+    device: Annotated[str | None, option("NAME", "cuda where there is one")] = None
+    """Where a learned method computes: cpu, cuda or cuda:N."""
+
+    def method_options(self) -> dict[str, Any]:
+        """What `load` is told beside the name; what was not given is left to the method."""
+        given = {"weights": self.weights, "rigid": self.rigid, "device": self.device}
+        return {"camera": self.camera, **{name: value for name, value in given.items() if value is not None}}
+
     def estimator(self) -> Estimator:
         """The method, ready to be called."""
-        return load(self.method, camera=self.camera)
+        return load(self.method, **self.method_options())
 
 
 def open_two(paths: tuple[Path, ...], options: CameraOptions) -> FrameSequence:

@@ -17,6 +17,7 @@ EXAMPLES = """\
   objectflow estimate PAIR_DIR --camera moving --out result
   objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240
   objectflow estimate color0.png depth0.png color1.png depth1.png --camera-file camera.json --depth-scale 5000
+  objectflow estimate PAIR_DIR --method sceneflownet-c-vl --weights FILE --rigid average
 """
 
 

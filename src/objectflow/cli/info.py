@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 from dataclasses import dataclass
-from importlib import metadata, resources
+from importlib import metadata
 
 from rich.console import Console
 from rich.table import Table
@@ -13,7 +13,9 @@ from rich.table import Table
 EXAMPLES = "  objectflow info\n"
 
 LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "torch", "tyro", "rich", "safetensors")
-OPTIONAL_LIBRARIES = ("mujoco", "mujoco-warp", "trimesh", "coacd", "pyarrow", "pybullet", "ray")
+OPTIONAL_LIBRARIES = (
+    "mujoco", "mujoco-warp", "trimesh", "coacd", "pyarrow", "pybullet", "ray", "onnx", "onnxruntime", "huggingface_hub"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,16 @@ def _version(name: str) -> str | None:
 
 
 def _weights() -> list[str]:
-    folder = resources.files("objectflow") / "weights"
-    if not folder.is_dir():
-        return []
-    return sorted(file.name for file in folder.iterdir() if file.name.endswith(".safetensors"))
+    from objectflow.errors import MethodError
+    from objectflow.find_weights import packaged_weights
+    from objectflow.networks.weights import read_header
+
+    found = []
+    for path in packaged_weights():
+        try:
+            _, about = read_header(path)
+            height, width = about.get("size", ("?", "?"))
+            found.append(f"{path.stem} ({path.stat().st_size / 2**20:.1f} MiB, trained at {width}x{height})")
+        except (MethodError, TypeError, ValueError):
+            found.append(f"{path.stem} (damaged: install objectflow again)")
+    return found
