@@ -25,6 +25,7 @@ What differs from the authors' program, and why:
 - A level's pixel (u, v) is (2u, 2v) of the finer level, in its intrinsics too; there the metric of coarse levels takes
   the image's centre for the principal point.
 - The product w u, which their linear formula for the sideways flow leaves out, is kept.
+- Going up a level, values near the image border are divided by the weights that were used; theirs come out too large.
 - No primal variable is coupled to neighbours beyond the image border, in the step sizes too.
 - Depth below 5 mm or above 50 m is not used.
 """

@@ -39,13 +39,16 @@ def build_pyramid(images: Images, levels: int = LEVELS) -> list[Images]:
 
 def enlarge(values: Tensor) -> Tensor:
     """(B, C, H, W) -> (B, C, 2H, 2W): values go to the even pixels, the binomial mask fills those between."""
+    mask = _mask(values)
+    # Divided by the weight of what there is: near the border, too, a constant stays what it is.
+    return _filter(_spread(values), mask) / _filter(_spread(torch.ones_like(values[:1, :1])), mask)
+
+
+def _spread(values: Tensor) -> Tensor:
     batch, channels, height, width = values.shape
-    spread = values.new_zeros(batch, channels, height, 2, width, 2)
-    spread[:, :, :, 0, :, 0] = values
-    mask = 4 * _mask(values)
-    out = _filter(spread.view(batch, channels, 2 * height, 2 * width), mask)
-    inside = _filter(torch.ones_like(out[:1, :1]), mask / 4)
-    return out / inside
+    out = values.new_zeros(batch, channels, height, 2, width, 2)
+    out[:, :, :, 0, :, 0] = values
+    return out.view(batch, channels, 2 * height, 2 * width)
 
 
 def _halve_gray(gray: Tensor) -> Tensor:

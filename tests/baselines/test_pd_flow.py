@@ -1,0 +1,157 @@
+"""`pd-flow` whole: on scenes with known motion, beside the authors' VO-SF, and on inputs of every kind."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import analytic
+import objectflow
+from objectflow import Camera, RgbdFrame, correspondence, torch_geometry
+from objectflow.baselines.pd_flow.estimator import estimate
+from objectflow.baselines.pd_flow.pyramid import Images
+from objectflow.errors import FrameError, MethodError
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+DATA, PROGRAM = SHARED / "data", SHARED / "reference" / "vosf"
+
+
+@cache
+def scene(seed: int) -> analytic.AnalyticPair:
+    """Objects that move by less than a centimetre."""
+    return analytic.make_scene(seed, objects=(2, 4), motion=(0.003, 0.008), max_angle_deg=3)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_small_smooth_motion_is_found(seed: int) -> None:
+    pair = scene(seed)
+    motion = objectflow.load("pd-flow", device="cpu")(pair.prev, pair.curr)
+    moving = np.isin(pair.labels, list(pair.moving))
+    error = np.linalg.norm(motion.scene_flow - pair.scene_flow, axis=-1)
+    moved = np.linalg.norm(pair.scene_flow, axis=-1)
+    assert moved.max() < 0.012
+    # Zero flow's error is the motion itself.
+    assert error[moving].mean() < moved[moving].mean() / 3
+    assert error.mean() < moved.mean() / 3
+    assert (motion.labels == 0).all()
+    assert motion.objects == ()
+
+
+@pytest.mark.skipif(not (DATA.is_dir() and PROGRAM.is_dir()), reason=f"no real pairs and program output in {SHARED}")
+def test_the_robot_moves_where_the_authors_vo_sf_says() -> None:
+    folder = DATA / "robot"
+    camera, scale = Camera.read(folder / "camera.json")
+    own = Camera(320, 240, 263.672, 263.672, 159.5, 119.5)
+    frames = []
+    for k in (0, 1):
+        vga = RgbdFrame.read(
+            folder / f"color{k}.png", folder / f"depth{k}.png", camera=camera, depth_scale=scale or 1000
+        )
+        # As the program reduces them; its first frame, which carries its result, is here the current one.
+        frames.append(RgbdFrame(vga.color[1::2, ::2], vga.depth[1::2, ::2], own))
+    ours = objectflow.load("pd-flow", device="cpu")(frames[1], frames[0]).scene_flow
+    theirs = np.moveaxis(np.load(PROGRAM / "robot" / "flow.npy"), 0, -1)
+    moves = np.append(np.load(PROGRAM / "robot" / "b.npy") > 0.667, False)
+    robot = moves[np.load(PROGRAM / "robot" / "labels.npy")]
+    a, b = ours[robot], theirs[robot]
+    cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
+    assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 20
+    assert 0.8 < np.median(np.linalg.norm(a, axis=-1)) / np.median(np.linalg.norm(b, axis=-1)) < 1.25
+
+
+def images(frames: list[RgbdFrame], device: str = "cpu") -> Images:
+    return Images(
+        torch.stack([torch.from_numpy(correspondence.gray(f.color)).float()[None] for f in frames]).to(device),
+        torch.stack([torch.from_numpy(f.depth)[None] for f in frames]).to(device),
+        torch.stack([torch_geometry.intrinsics(f.camera) for f in frames]).to(device),
+    )
+
+
+def test_a_batch_gives_what_its_pairs_give_alone() -> None:
+    small = [scene(k) for k in (0, 1)]
+    prev, curr = ([getattr(pair, name).resized(160, 128) for pair in small] for name in ("prev", "curr"))
+    together = estimate(images(curr), images(prev))
+    for k in (0, 1):
+        alone = estimate(images(curr[k : k + 1]), images(prev[k : k + 1]))
+        np.testing.assert_allclose(together[k], alone[0], atol=2e-3)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_cuda_gives_what_the_cpu_gives() -> None:
+    pair = scene(0)
+    cpu = estimate(images([pair.curr]), images([pair.prev]))
+    cuda = estimate(images([pair.curr], "cuda"), images([pair.prev], "cuda")).cpu()
+    assert (cpu - cuda).abs().median() < 1e-4
+    assert torch.quantile((cpu - cuda).abs().flatten()[::7], 0.99) < 0.02
+
+
+def test_a_larger_image_gives_the_same_motion() -> None:
+    pair = analytic.make_scene(0, objects=(2, 4), motion=(0.003, 0.008), max_angle_deg=3, width=640, height=480)
+    motion = objectflow.load("pd-flow", device="cpu")(pair.prev, pair.curr)
+    moving = np.isin(pair.labels, list(pair.moving))
+    error = np.linalg.norm(motion.scene_flow - pair.scene_flow, axis=-1)[moving]
+    assert error.mean() < np.linalg.norm(pair.scene_flow, axis=-1)[moving].mean() / 3
+
+
+def test_still_frames_have_no_flow() -> None:
+    frame = scene(0).curr
+    motion = objectflow.load("pd-flow", device="cpu")(frame, frame)
+    assert np.abs(motion.scene_flow).max() < 1e-6
+
+
+def test_flow_is_nan_exactly_where_depth_is_missing() -> None:
+    pair = scene(0)
+    depth = pair.curr.depth.copy()
+    depth[:, 200:] = 0
+    depth[::7, ::5] = 0
+    curr = dataclasses.replace(pair.curr, depth=depth)
+    motion = objectflow.load("pd-flow")(dataclasses.replace(pair.prev, depth=np.roll(depth, 3, 0)), curr)
+    np.testing.assert_array_equal(np.isnan(motion.scene_flow).all(-1), ~curr.valid)
+    np.testing.assert_array_equal(np.isnan(motion.scene_flow).any(-1), ~curr.valid)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (8, 6), (50, 17)])
+def test_tiny_images_work(size: tuple[int, int]) -> None:
+    width, height = size
+    rng = np.random.default_rng(0)
+    camera = Camera(width, height, float(width), float(height), (width - 1) / 2, (height - 1) / 2)
+    prev, curr = (
+        RgbdFrame(
+            rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
+            rng.uniform(0.5, 2, (height, width)).astype(np.float32),
+            camera,
+        )
+        for _ in range(2)
+    )
+    motion = objectflow.load("pd-flow")(prev, curr)
+    assert motion.scene_flow.shape == (height, width, 3)
+    assert np.isfinite(motion.scene_flow).all()
+
+
+def test_absurd_depth_does_no_harm() -> None:
+    frame = scene(0).curr
+    depth = frame.depth.copy()
+    depth[:50], depth[60] = 1e30, 1e-30
+    absurd = dataclasses.replace(frame, depth=depth)
+    flow = objectflow.load("pd-flow")(absurd, absurd).scene_flow
+    assert np.abs(flow[70:]).max() < 1e-6
+
+
+def test_devices_that_are_not_there_are_refused() -> None:
+    with pytest.raises(MethodError, match="device"):
+        objectflow.load("pd-flow", device="abacus")
+    with pytest.raises(MethodError, match="device"):
+        objectflow.load("pd-flow", device="cuda:99")
+
+
+def test_frames_without_depth_at_the_working_size_are_refused() -> None:
+    camera, depth = Camera(640, 480, 528.0, 528.0, 319.5, 239.5), np.zeros((480, 640), np.float32)
+    depth[0, 0] = 1  # not the pixel that is kept of its block
+    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, camera)
+    with pytest.raises(FrameError, match="depth"):
+        objectflow.load("pd-flow")(frame, frame)
