@@ -1,0 +1,154 @@
+"""Variations of a batch, on its device, drawn anew at every use; and what a network is shown of it: sensor noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from objectflow.dataset.batches import Batch
+from objectflow.dataset.variations import crop, flip, recolor, swap
+from objectflow.errors import DatasetError
+from objectflow.synth.sensor import ColorSensor, draw_sensor, observe_color, observe_depth
+from objectflow.torch_geometry import back_project
+
+
+@dataclass(frozen=True)
+class AugmentSettings:
+    """What is drawn anew whenever a pair is used. Everything at 0 (zoom 1, sensors off) leaves batches as they are.
+
+    Raises:
+        DatasetError: a share outside of 0..1, a zoom below 1, or a negative amount.
+    """
+
+    flip: float = 0.5
+    """Share of pairs that are mirrored left to right."""
+    swap: float = 0.5
+    """Share of pairs whose frames trade places, their motions inverted."""
+    zoom: float = 1.3
+    """Largest enlargement; each pair's lies between 1 and this, its part of the image anywhere."""
+    brightness: float = 0.2
+    """Largest change of brightness, relative; as are contrast and saturation."""
+    contrast: float = 0.2
+    saturation: float = 0.3
+    hue: float = 0.1
+    """Radians: largest turn of hue."""
+    frame_jitter: float = 0.15
+    """How much more each frame's colours change on their own, relative to what the pair shares."""
+    depth_sensor: float = 0.9
+    """Share of the groups of pairs whose depth a sensor measures: structured light, time of flight or stereo, drawn
+    with a strength of its own. The rest keep exact depth."""
+    color_sensor: float = 0.9
+    """Share of the groups of pairs whose colour has exposure, white balance, blur and noise of a camera."""
+    strength: tuple[float, float] = (0.5, 1.5)
+    """How bad depth sensors are, relative to their published figures."""
+    sensors: int = 2
+    """Groups of a batch, each with sensors of its own."""
+
+    def __post_init__(self) -> None:
+        for name in ("flip", "swap", "depth_sensor", "color_sensor"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise DatasetError(f"augmentation setting {name} must lie in 0..1, not {getattr(self, name)}")
+        for name in ("brightness", "contrast", "saturation", "hue", "frame_jitter"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise DatasetError(f"augmentation setting {name} must be finite and >= 0, not {getattr(self, name)}")
+        if not 1 <= self.zoom < float("inf") or self.sensors < 1:
+            raise DatasetError(f"augmentation needs zoom >= 1 and sensors >= 1, not {self.zoom} and {self.sensors}")
+        if not 0 <= self.strength[0] <= self.strength[1] < float("inf"):
+            raise DatasetError(f"augmentation setting strength must be a range from 0 up, not {self.strength}")
+
+    @classmethod
+    def nothing(cls) -> AugmentSettings:
+        """Batches as they are, frames exact: what validation looks at."""
+        return cls(0, 0, 1, 0, 0, 0, 0, 0, depth_sensor=0, color_sensor=0)
+
+
+class Inputs(NamedTuple):
+    """What a network is shown, in the order of its arguments, and the exact current points, for targets and losses.
+
+    Attributes:
+        prev_color, curr_color: (B, 3, H, W) float32, RGB in 0..1.
+        prev_points, curr_points: (B, 3, H, W) metres as the sensor has them, NaN where it has none.
+        exact_points: (B, 3, H, W) metres, NaN where the stored depth is missing.
+    """
+
+    prev_color: Tensor
+    prev_points: Tensor
+    curr_color: Tensor
+    curr_points: Tensor
+    exact_points: Tensor
+
+
+def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator) -> Batch:
+    """A variation of every pair of a batch, each drawn on its own.
+
+    Args:
+        batch: exact frames, on the generator's device.
+        settings: what may change, and how much.
+        generator: the only source of randomness.
+    """
+    count = len(batch)
+
+    def draw(*shape: int) -> Tensor:
+        return torch.rand(count, *shape, generator=generator, device=generator.device)
+
+    # Everything is drawn, whatever is switched on: one setting does not change another's numbers.
+    mirrored, swapped, unit, place, colors = draw(), draw(), draw(), draw(2), draw(3, 4)
+    if settings.swap > 0:
+        batch = swap(batch, swapped < settings.swap)
+    if settings.flip > 0:
+        batch = flip(batch, mirrored < settings.flip)
+    if settings.zoom > 1:
+        batch = crop(batch, 1 + (settings.zoom - 1) * unit, place)
+    amounts = (settings.brightness, settings.contrast, settings.saturation, settings.hue)
+    if max(amounts) > 0:
+        shared, own = 2 * colors[:, :1] - 1, settings.frame_jitter * (2 * colors[:, 1:] - 1)
+        batch = recolor(batch, (shared + own) * torch.tensor(amounts, device=colors.device))
+    return batch
+
+
+def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Generator | None) -> Inputs:
+    """Frames as a network is shown them: colours in 0..1, points of noisy depth.
+
+    Targets and the loss on flow come from the exact points. A pixel that the sensor lost keeps its targets: a network
+    has to say what lies there, from what lies around. X is predicted from the points that the network is shown.
+
+    Args:
+        batch: exact frames.
+        settings: which sensors there are.
+        generator: on the batch's device; None leaves both colour and depth exact.
+    """
+    count = len(batch)
+    # Frames of a pair follow each other, so that they can share a camera's state.
+    color = torch.stack([batch.prev_color, batch.curr_color], 1).flatten(0, 1).float() / 255
+    depth = torch.stack([batch.prev_depth, batch.curr_depth], 1).flatten(0, 1)
+    intrinsics = batch.intrinsics.repeat_interleave(2, 0)
+    if generator is not None:
+        size = 2 * -(-count // settings.sensors)
+        groups = [slice(first, first + size) for first in range(0, 2 * count, size)]
+        seen = [_observed(color[g], depth[g], intrinsics[g], settings, generator) for g in groups]
+        color, depth = torch.cat([one[0] for one in seen]), torch.cat([one[1] for one in seen])
+    points = _points(depth, intrinsics)
+    prev_color, curr_color, prev_points, curr_points = color[::2], color[1::2], points[::2], points[1::2]
+    exact_points = curr_points if generator is None else _points(batch.curr_depth, batch.intrinsics)
+    return Inputs(prev_color, prev_points, curr_color, curr_points, exact_points)
+
+
+def _observed(
+    color: Tensor, depth: Tensor, intrinsics: Tensor, settings: AugmentSettings, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Colour and depth of consecutive frames of pairs as one drawn camera has them."""
+    has_depth, has_color = torch.rand(2, generator=generator, device=generator.device).tolist()
+    sensor = draw_sensor(generator, settings.strength)
+    if has_depth < settings.depth_sensor:
+        depth = observe_depth(depth, color, intrinsics, sensor, generator)
+    if has_color < settings.color_sensor:
+        color = observe_color(color, ColorSensor(), generator, images_each=2)
+    return color, depth
+
+
+def _points(depth: Tensor, intrinsics: Tensor) -> Tensor:
+    points = back_project(depth[:, None], intrinsics)
+    return torch.where(depth[:, None] > 0, points, torch.nan)
