@@ -49,6 +49,8 @@ VERBS: dict[str, VerbEntry] = {
     "check-pair": VerbEntry(
         "what may be wrong with two frames, in plain words", "objectflow.cli.check_pair", "CheckPair"
     ),
+    "evaluate": VerbEntry("methods on pairs with truth: tables and a report", "objectflow.cli.evaluate", "Evaluate"),
+    "export": VerbEntry("a network as an ONNX file", "objectflow.cli.export", "Export"),
     "methods": VerbEntry("every method with one line each", "objectflow.cli.methods", "Methods"),
     "info": VerbEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
 }

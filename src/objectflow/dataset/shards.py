@@ -17,9 +17,7 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise MissingExtraError(
-        'data sets need pyarrow: pip install "objectflow[synth]" or "objectflow[train]"'
-    ) from error
+    raise MissingExtraError("data sets need pyarrow, which objectflow brings: pip install pyarrow") from error
 
 ROWS_A_GROUP = 8
 """Rows that are read together. Small, so that one row out of order does not cost a whole shard."""
