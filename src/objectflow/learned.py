@@ -75,7 +75,7 @@ class SceneFlowEstimator:
         weight = _trained_weight(metadata, path) if self.rotation_weight is None else self.rotation_weight
         # A frozen dataclass sets what follows from its options once, here.
         object.__setattr__(self, "grouping", GroupingSettings(rotation_weight=weight, min_pixels=self.min_pixels))
-        object.__setattr__(self, "size", _trained_size(metadata, path))
+        object.__setattr__(self, "size", trained_size(metadata, path))
         # The file that was found: whoever keeps results can say what they depend on.
         object.__setattr__(self, "weights", path)
         # Channels last: 1.5 times as fast on a CPU.
@@ -161,7 +161,12 @@ class SceneFlowNetCVL(SceneFlowEstimator):
     METHOD: ClassVar[str] = "sceneflownet-c-vl"
 
 
-def _trained_size(metadata: dict[str, Any], path: Path) -> tuple[int, int]:
+def trained_size(metadata: dict[str, Any], path: Path) -> tuple[int, int]:
+    """(H, W) that weights were trained at, from their metadata.
+
+    Raises:
+        MethodError: a size that is none; the message starts with `path`.
+    """
     size = metadata.get("size", PAPER_SIZE)
     try:
         height, width = (int(one) for one in size)
