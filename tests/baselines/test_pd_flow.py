@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -17,8 +18,12 @@ from objectflow.baselines.pd_flow.estimator import estimate
 from objectflow.baselines.pd_flow.pyramid import Images
 from objectflow.errors import FrameError, MethodError
 
-SHARED = Path(__file__).resolve().parents[3] / "shared"
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = ROOT.parent / "shared"
 DATA, PROGRAM = SHARED / "data", SHARED / "reference" / "vosf"
+sys.path.insert(0, str(ROOT / "benchmarks"))
+
+import vo_sf_program  # noqa: E402
 
 
 @cache
@@ -42,26 +47,14 @@ def test_small_smooth_motion_is_found(seed: int) -> None:
     assert motion.objects == ()
 
 
-@pytest.mark.skipif(not (DATA.is_dir() and PROGRAM.is_dir()), reason=f"no real pairs and program output in {SHARED}")
+@pytest.mark.skipif(not PROGRAM.is_dir() or not DATA.is_dir(), reason=f"no real pairs and program output in {SHARED}")
 def test_the_robot_moves_where_the_authors_vo_sf_says() -> None:
-    folder = DATA / "robot"
-    camera, scale = Camera.read(folder / "camera.json")
-    own = Camera(320, 240, 263.672, 263.672, 159.5, 119.5)
-    frames = []
-    for k in (0, 1):
-        vga = RgbdFrame.read(
-            folder / f"color{k}.png", folder / f"depth{k}.png", camera=camera, depth_scale=scale or 1000
-        )
-        # As the program reduces them; its first frame, which carries its result, is here the current one.
-        frames.append(RgbdFrame(vga.color[1::2, ::2], vga.depth[1::2, ::2], own))
-    ours = objectflow.load("pd-flow", device="cpu")(frames[1], frames[0]).scene_flow
-    theirs = np.moveaxis(np.load(PROGRAM / "robot" / "flow.npy"), 0, -1)
-    moves = np.append(np.load(PROGRAM / "robot" / "b.npy") > 0.667, False)
-    robot = moves[np.load(PROGRAM / "robot" / "labels.npy")]
-    a, b = ours[robot], theirs[robot]
-    cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
-    assert np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1))) < 20
-    assert 0.8 < np.median(np.linalg.norm(a, axis=-1)) / np.median(np.linalg.norm(b, axis=-1)) < 1.25
+    prev, curr = vo_sf_program.read_pair(DATA / "robot")
+    output = vo_sf_program.read_output(PROGRAM / "robot")
+    motion = objectflow.load("pd-flow", device="cpu")(prev, curr)
+    assert vo_sf_program.compare(motion, output)["angle deg"] < 20
+    ours, theirs = (np.linalg.norm(flow[output.moves], axis=-1) for flow in (motion.scene_flow, output.flow))
+    assert 0.8 < np.median(ours) / np.median(theirs) < 1.25
 
 
 def images(frames: list[RgbdFrame], device: str = "cpu") -> Images:
