@@ -125,7 +125,7 @@ def make_targets(
         center=center,
         flow=flow,
         radius=_spread(_radii(table, rotation_weight)[..., None], index),
-        eta=_nearest_to_center(offset.norm(dim=1), index, measured, table.label.shape[1], nearest),
+        eta=_nearest_to_center(offset.square().sum(1), index, measured, table.label.shape[1], nearest),
     )
 
 
@@ -172,12 +172,12 @@ def _radii(table: ObjectTable, rotation_weight: float) -> Tensor:
     return torch.where(torch.isfinite(least), 0.5 * least, RADIUS_ALONE)
 
 
-def _nearest_to_center(distance: Tensor, index: Tensor, measured: Tensor, objects: int, count: int) -> Tensor:
+def _nearest_to_center(distance2: Tensor, index: Tensor, measured: Tensor, objects: int, count: int) -> Tensor:
     """(B, H, W) bool: the `count` pixels of each object that lie nearest to its centre, of those with depth."""
     batch = torch.arange(index.shape[0], device=index.device)[:, None, None]
     group = torch.where(measured & (index >= 0), index + batch * objects, -1).flatten()
     # Two stable sorts give each pixel its rank within its object, without a loop over objects.
-    order = torch.argsort(distance.flatten(), stable=True)
+    order = torch.argsort(distance2.flatten(), stable=True)
     order = order[torch.argsort(group[order], stable=True)]
     ordered = group[order]
     first = torch.searchsorted(ordered, ordered, right=False)

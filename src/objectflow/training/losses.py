@@ -112,8 +112,7 @@ def _terms(output: DenseMotion, targets: Targets, points: Tensor, settings: Loss
     )
 
     def pixelwise(difference: Tensor, where: Tensor) -> Tensor:
-        error = difference.square().sum(1) if settings.squared else torch.linalg.vector_norm(difference, dim=1)
-        return _mean_over(error, where)
+        return _mean_over(difference.square().sum(1) if settings.squared else _norm(difference), where)
 
     terms = {
         "mask": F.cross_entropy(output.mask, inside.long()),
@@ -128,10 +127,17 @@ def _terms(output: DenseMotion, targets: Targets, points: Tensor, settings: Loss
     if settings.vl:
         # The truth is one value an object, so the spread of what is off is the spread of xi, with more digits.
         terms["variance"] = _spread_within(off, targets.index)
-        distance = torch.linalg.vector_norm(off, dim=1)
+        distance = _norm(off)
         violating = inside & (distance.detach() > _FREE * targets.radius[:, 0])
         terms["violation"] = _mean_over(torch.where(violating, distance, 0.0), inside)
     return terms
+
+
+def _norm(vectors: Tensor) -> Tensor:
+    """(B, C, H, W) -> (B, H, W) lengths, with gradient 0 at 0; many times faster than `torch.linalg` over channels."""
+    squared = vectors.square().sum(1)
+    some = squared > 0
+    return torch.where(some, torch.where(some, squared, 1.0).sqrt(), 0.0)
 
 
 def _mean_over(values: Tensor, where: Tensor) -> Tensor:
