@@ -13,6 +13,7 @@ from objectflow.errors import MethodError
 from objectflow.networks.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
 from objectflow.networks.correlation import correlate, weighted_max_pool
 from objectflow.networks.decoder import Heads, Hourglass
+from objectflow.networks.masked import MaskedShapeEncoder
 from objectflow.networks.outputs import DenseMotion
 from objectflow.networks.settings import NetworkSettings
 
@@ -23,7 +24,8 @@ _STRIDE = 8
 class SceneFlowNet(nn.Module):
     """Two RGB-D frames -> dense maps of rigid motions: OurC, or OurS without `settings.correlation`.
 
-    Missing depth is an input of its own: points become 0 there, beside a fourth channel that is 1 where depth is.
+    Missing depth is an input of its own: points become 0 there, beside a fourth channel that is 1 where depth is; or,
+    with `settings.missing` "masked", they are left out of the XYZ encoder's sums.
     """
 
     def __init__(self, settings: NetworkSettings | None = None, *, generator: torch.Generator | None = None) -> None:
@@ -38,7 +40,9 @@ class SceneFlowNet(nn.Module):
         shape_channels = self.settings.shape_stages[-1][-1]
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
-            self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
+            masked = self.settings.missing == "masked"
+            stages = self.settings.shape_stages
+            self.shape_encoder: nn.Module = MaskedShapeEncoder(stages) if masked else shape_encoder(4, stages)
             self.hourglass = Hourglass(3 * shape_channels, self.settings)
         else:
             self.color_encoder = None

@@ -32,6 +32,8 @@ class NetworkSettings:
     """Channels of the colour features that are correlated."""
     shape_stages: Stages = ((16, 16, 16), (16, 16, 32), (32, 32, 64))
     """3x3 layers of the XYZ encoder; the last of each stage halves the size. Three stages: stride 8."""
+    missing: Literal["channel", "masked"] = "channel"
+    """How the XYZ encoder is told of missing depth: by a fourth channel, or by convolutions that leave it out."""
     reach: int = 10
     """L of the paper: the correlation's patch has (2 L + 1)^2 cells of stride 8."""
     correlation_mean: bool = False
@@ -53,6 +55,10 @@ class NetworkSettings:
             raise MethodError(f"network setting trunk_blocks needs two numbers from 1, not {self.trunk_blocks}")
         if self.trunk_norm not in ("batch", "frozen"):
             raise MethodError(f"network setting trunk_norm must be batch or frozen, not {self.trunk_norm!r}")
+        if self.missing not in ("channel", "masked"):
+            raise MethodError(f"network setting missing must be channel or masked, not {self.missing!r}")
+        if self.missing == "masked" and not self.correlation:
+            raise MethodError("network setting missing can be masked only with correlation: set it to channel")
         for name, count in (("shape_stages", 3), ("fine", 3), ("down", None), ("up", len(self.down) - 1)):
             stages: Stages = getattr(self, name)
             if not stages or (count is not None and len(stages) != count):
