@@ -35,6 +35,10 @@ class DatasetError(ObjectflowError):
     """A data set, shard, manifest or mesh folder that cannot be used."""
 
 
+class TrainingError(ObjectflowError):
+    """A training run that cannot start or continue as asked, or whose losses are no numbers any more."""
+
+
 class MissingExtraError(ObjectflowError):
     """A library of an optional extra is not installed; the message names the extra."""
 

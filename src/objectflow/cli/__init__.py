@@ -51,6 +51,7 @@ VERBS: dict[str, VerbEntry] = {
     ),
     "evaluate": VerbEntry("methods on pairs with truth: tables and a report", "objectflow.cli.evaluate", "Evaluate"),
     "export": VerbEntry("a network as an ONNX file", "objectflow.cli.export", "Export"),
+    "train": VerbEntry("train a network by a recipe", "objectflow.cli.train", "Train"),
     "methods": VerbEntry("every method with one line each", "objectflow.cli.methods", "Methods"),
     "info": VerbEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
 }
@@ -110,7 +111,11 @@ def _dispatch(words: list[str]) -> int:
     complaint = io.StringIO()
     try:
         with contextlib.redirect_stderr(complaint):
-            verb: Verb = tyro.cli(getattr(module, entry.dataclass), args=words[1:], prog=f"objectflow {words[0]}")
+            # A verb may choose its options' defaults by what is typed.
+            default = module.default(words[1:]) if hasattr(module, "default") else None
+            verb: Verb = tyro.cli(
+                getattr(module, entry.dataclass), args=words[1:], prog=f"objectflow {words[0]}", default=default
+            )
     except SystemExit as error:
         if not error.code:
             return 0

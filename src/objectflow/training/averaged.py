@@ -1,0 +1,39 @@
+"""A running mean of a network's weights: steadier than the last step's, and better on pairs not seen."""
+
+from __future__ import annotations
+
+import copy
+
+import torch
+
+from objectflow.networks import SceneFlowNet
+
+
+class AveragedWeights:
+    """The exponential mean of a network's parameters and running statistics.
+
+    Attributes:
+        network: a copy that holds the mean, in evaluation mode.
+        steps: how many updates it has seen.
+    """
+
+    def __init__(self, network: SceneFlowNet, decay: float) -> None:
+        """Start from the network as it is.
+
+        Args:
+            network: without wrappers.
+            decay: what is left of the mean in a step, 0..1. Early on it is less, or first weights would linger.
+        """
+        self.network = copy.deepcopy(network).requires_grad_(False).eval()
+        self.decay, self.steps = decay, 0
+
+    @torch.no_grad()
+    def update(self, network: SceneFlowNet) -> None:
+        """Move the mean towards the network's present weights."""
+        self.steps += 1
+        part = 1 - min(self.decay, self.steps / (self.steps + 9))
+        for mean, now in zip(self.network.state_dict().values(), network.state_dict().values(), strict=True):
+            if mean.is_floating_point():
+                mean.lerp_(now, part)
+            else:
+                mean.copy_(now)

@@ -1,0 +1,177 @@
+"""`loss_curve.png`: a run's training and validation loss, as in the paper's loss figure, and what it is worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import files
+from objectflow.errors import StorageError
+from objectflow.view import canvas
+from objectflow.view.canvas import Image
+from objectflow.view.colors import Rgb
+
+WIDTH, HEIGHT = 760, 560
+"""Pixels of a panel."""
+_LEFT, _RIGHT, _TOP, _BOTTOM = 92, 24, 66, 74
+_INK, _GRID, _BLUE, _RED, _GREY = (40, 40, 40), (225, 225, 225), (31, 90, 180), (200, 50, 40), (140, 140, 140)
+_SMOOTH = 0.04
+"""Share of the run over which the training loss is averaged for the strong line."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """One line of a panel: x and y of its points, colour, name; a thin one is in the background."""
+
+    name: str
+    color: Rgb
+    points: Sequence[tuple[float, float]]
+    thin: bool = False
+
+
+def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = "") -> None:
+    """Draw a run's metrics and write them as PNG.
+
+    Args:
+        path: of the picture.
+        lines: from `read_metrics`.
+        title: the run's name, above the first panel.
+
+    Raises:
+        StorageError: the disk refused.
+    """
+    image = draw_curves(lines, title)
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
+    if not done:
+        raise StorageError(f"cannot write {path}: the picture cannot be encoded")
+    files.write_bytes(path, data.tobytes())
+
+
+def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> Image:
+    """The picture: (HEIGHT, 3 WIDTH, 3) uint8; one panel each for loss, end point error, and segmentation."""
+    train = [line for line in lines if line["kind"] == "train"]
+    validation = [line for line in lines if line["kind"] == "validation"]
+    loss = _pick(train, "losses", "total")
+    panels = [
+        panel(
+            [
+                Series("", (190, 207, 235), loss, thin=True),
+                Series("training", _BLUE, _smooth(loss)),
+                Series("validation", _RED, _pick(validation, "losses", "total")),
+            ],
+            f"{title}: loss" if title else "loss",
+            logarithmic=True,
+        ),
+        panel(
+            [
+                Series("zero flow", _GREY, _pick(validation, "zero_epe_cm")),
+                Series("validation", _RED, _pick(validation, "epe_cm")),
+            ],
+            "masked end point error, cm",
+        ),
+        panel(
+            [
+                Series("mean F", _RED, _pick(validation, "mean_f")),
+                Series("extracted objects, share", _BLUE, _pick(validation, "extracted_share")),
+            ],
+            "segmentation",
+        ),
+    ]
+    return np.concatenate(panels, axis=1)
+
+
+def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) -> Image:
+    """One diagram over steps: (HEIGHT, WIDTH, 3) uint8. Without points, it says so."""
+    image: Image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    canvas.write(image, title, _LEFT, 34, 26, _INK, bold=True)
+    xs = [x for one in series for x, _ in one.points]
+    ys = [y for one in series for _, y in one.points if y > 0 or not logarithmic]
+    if not ys:
+        canvas.write(image, "nothing measured yet", _LEFT + 20, HEIGHT / 2, 22, _GREY)
+        return image
+    low, high = (min(ys) / 1.1, max(ys) * 1.1) if logarithmic else (0.0, 1.08 * max(ys) or 1.0)
+    most = max(xs) or 1.0
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        a, b, value = (math.log(max(one, low)) for one in (low, high, y)) if logarithmic else (low, high, y)
+        share = (value - a) / (b - a)
+        return (
+            _LEFT + (WIDTH - _LEFT - _RIGHT) * x / most,
+            HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * min(max(share, 0.0), 1.0),
+        )
+
+    for value in _ticks(low, high, logarithmic):
+        left, y = place(0, value)
+        canvas.line(image, [(left, y), (WIDTH - _RIGHT, y)], _GRID, 1)
+        text = f"{value:g}"
+        canvas.write(image, text, _LEFT - 10 - canvas.text_size(text, 20)[0], y + 7, 20, _INK)
+    for value in _ticks(0, most, False):
+        x, _ = place(value, low)
+        canvas.line(image, [(x, HEIGHT - _BOTTOM), (x, HEIGHT - _BOTTOM + 6)], _INK, 1)
+        text = f"{value:g}"
+        canvas.write(image, text, x - canvas.text_size(text, 20)[0] / 2, HEIGHT - _BOTTOM + 28, 20, _INK)
+    canvas.write(image, "step", WIDTH / 2, HEIGHT - 14, 20, _INK)
+    for one in series:
+        points = [place(x, y) for x, y in one.points]
+        if len(points) > 1:
+            canvas.line(image, points, one.color, 1 if one.thin else 3)
+        if len(points) <= 30 and not one.thin:
+            for point in points:
+                canvas.disk(image, point, 4.5, one.color)
+    corners = [(_LEFT, _TOP), (_LEFT, HEIGHT - _BOTTOM), (WIDTH - _RIGHT, HEIGHT - _BOTTOM)]
+    canvas.line(image, [(float(x), float(y)) for x, y in corners], _INK, 1)
+    _legend(image, [one for one in series if one.name and one.points])
+    return image
+
+
+def _legend(image: Image, series: Sequence[Series]) -> None:
+    """Names above the diagram, beside a piece of their lines."""
+    x = float(_LEFT)
+    for one in series:
+        canvas.line(image, [(x, 52.0), (x + 28, 52.0)], one.color, 3)
+        canvas.write(image, one.name, x + 36, 58, 20, _INK)
+        x += 60 + canvas.text_size(one.name, 20)[0]
+
+
+def _pick(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[float, float]]:
+    points = []
+    for line in lines:
+        value: Any = line
+        for name in names:
+            value = value.get(name) if isinstance(value, Mapping) else None
+        if value is not None:
+            points.append((float(line["step"]), float(value)))
+    return points
+
+
+def _smooth(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """The mean over a window around each point, shorter towards the ends."""
+    if not points:
+        return []
+    values: NDArray[np.float64] = np.array(points)
+    half = int(len(points) * _SMOOTH / 2)
+    sums = np.concatenate([[0.0], np.cumsum(values[:, 1])])
+    index = np.arange(len(points))
+    reach = np.minimum(half, np.minimum(index, len(points) - 1 - index))
+    mean = (sums[index + reach + 1] - sums[index - reach]) / (2 * reach + 1)
+    return [(float(x), float(y)) for x, y in zip(values[:, 0], mean, strict=True)]
+
+
+def _ticks(low: float, high: float, logarithmic: bool) -> list[float]:
+    """Round values between two others: some four to eight of them."""
+    if logarithmic and high / low > 5:
+        powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+        digits = (1, 2, 5) if high / low < 1000 else (1,)
+        return [digit * 10.0**power for power in powers for digit in digits if low <= digit * 10.0**power <= high]
+    rough = (high - low) / 5
+    unit = 10.0 ** math.floor(math.log10(rough))
+    step = unit * min((digit for digit in (1, 2, 5, 10) if digit * unit >= rough), default=10)
+    first = math.ceil(low / step)
+    return [round(index * step, 10) for index in range(first, math.floor(high / step) + 1)]

@@ -1,0 +1,74 @@
+"""Batches on the device ahead of time: a thread pins them and starts their copies while the step before computes."""
+
+from __future__ import annotations
+
+import dataclasses
+import queue
+import threading
+from collections.abc import Generator, Iterator
+from contextlib import suppress
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from objectflow.dataset.batches import Batch
+
+_AHEAD = 2
+"""Batches that wait on the device."""
+
+
+def on_device(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
+    """The same batches on a device. Closing the iterator closes the one behind it.
+
+    On a CPU nothing needs to be copied, so nothing is done ahead: `Batches` has worker processes for that.
+    """
+    return _copied_ahead(batches, device) if device.type == "cuda" else batches
+
+
+def _copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
+    ready: queue.Queue[Batch | BaseException] = queue.Queue(_AHEAD)
+    done = threading.Event()
+
+    def work() -> None:
+        try:
+            for batch in batches:
+                item = _pinned(batch).to(device)
+                while not done.is_set():
+                    with suppress(queue.Full):
+                        ready.put(item, timeout=0.2)
+                        break
+                if done.is_set():
+                    break
+        except BaseException as error:
+            while not done.is_set():
+                with suppress(queue.Full):
+                    ready.put(error, timeout=0.2)
+                    break
+        finally:
+            if isinstance(batches, Generator):
+                batches.close()
+
+    thread = threading.Thread(target=work, name="batches", daemon=True)
+    thread.start()
+    try:
+        while True:
+            item = ready.get()
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+    finally:
+        done.set()
+        thread.join()
+
+
+def _pinned(batch: Any) -> Any:
+    """A dataclass of tensors with its tensors in pinned memory, from which copies need no waiting."""
+    changes = {}
+    for field in dataclasses.fields(batch):
+        value = getattr(batch, field.name)
+        if isinstance(value, Tensor):
+            changes[field.name] = value.pin_memory()
+        elif dataclasses.is_dataclass(value):
+            changes[field.name] = _pinned(value)
+    return dataclasses.replace(batch, **changes)

@@ -1,0 +1,55 @@
+"""One training step's parts: augment, show, tell; the same for validation, without chance."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from objectflow.dataset.augment import augment, network_inputs
+from objectflow.dataset.batches import Batch
+from objectflow.dataset.targets import Targets, make_targets
+from objectflow.training.recipe import Recipe
+
+
+class Prepared(NamedTuple):
+    """A batch as the network and the losses need it.
+
+    Attributes:
+        images: the network's four arguments.
+        points: (B, 3, H, W) metres, the current frame's exact points; NaN where depth is missing.
+        targets: made from them.
+    """
+
+    images: tuple[Tensor, Tensor, Tensor, Tensor]
+    points: Tensor
+    targets: Targets
+
+
+def step_generator(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
+    """The random numbers of one step of one process; no state has to be kept from step to step."""
+    mixed = np.random.SeedSequence([seed, step, rank]).generate_state(1, np.uint64)[0]
+    return torch.Generator(device).manual_seed(int(mixed) >> 1)
+
+
+def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> Prepared:
+    """Augment a batch, show it with sensor noise, and make its targets.
+
+    Args:
+        batch: on the device.
+        recipe: its augmentation and losses.
+        generator: on the device; None leaves frames as they are stored.
+    """
+    if generator is not None:
+        batch = augment(batch, recipe.augment, generator)
+    seen = network_inputs(batch, recipe.augment, generator)
+    targets = make_targets(
+        batch.table, batch.curr_labels, seen.exact_points, rotation_weight=recipe.loss.rotation_weight
+    )
+    images = (seen.prev_color, seen.prev_points, seen.curr_color, seen.curr_points)
+    if recipe.channels_last:
+        a, b, c, d = (image.contiguous(memory_format=torch.channels_last) for image in images)
+        images = (a, b, c, d)
+    return Prepared(images, seen.exact_points, targets)

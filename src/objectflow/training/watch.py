@@ -1,0 +1,141 @@
+"""Who looks on while a run goes: nobody, a terminal with a progress bar, or a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from objectflow.training.validation import Validation
+
+
+class Watch:
+    """Looks on and does nothing."""
+
+    def start(self, step: int, total: int | None) -> None:
+        """The run starts or goes on; the total is None where time limits it."""
+
+    def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+        """Steps are done; `line` as in the metrics."""
+
+    def validated(self, step: int, result: Validation, best: bool) -> None:
+        """A validation is done."""
+
+    def note(self, text: str) -> None:
+        """Something the user should know, in one line."""
+
+    def close(self) -> None:
+        """The run ends."""
+
+
+class Terminal(Watch):
+    """A bar with pairs per second, and a line a validation; without a terminal, a line a minute or so instead."""
+
+    def __init__(self, *, every_seconds: float = 60.0) -> None:
+        self._console = Console(highlight=False, soft_wrap=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=self._console, disable=not self._console.is_terminal, transient=True)
+        self._task = self._bar.add_task("training", total=1.0)
+        self._every, self._last, self._total = every_seconds, float("-inf"), ""
+
+    def start(self, step: int, total: int | None) -> None:
+        """See `Watch`."""
+        self._total = "" if total is None else f"/{total}"
+        self._bar.start()
+        self._bar.update(self._task, description=f"step {step}{self._total}")
+
+    def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+        """See `Watch`."""
+        text = f"step {step}{self._total}  loss {line['losses']['total']:.3f}  {line['pairs_per_second']:.1f} pairs/s"
+        self._bar.update(self._task, completed=progress, description=text)
+        if not self._console.is_terminal and line["seconds"] - self._last >= self._every:
+            self._last = line["seconds"]
+            self._console.print(text)
+
+    def validated(self, step: int, result: Validation, best: bool) -> None:
+        """See `Watch`."""
+        self._console.print(
+            f"step {step}: {result.pairs} validation pairs: loss {result.losses['total']:.3f}, masked EPE "
+            f"{result.epe_cm:.2f} cm (zero flow {result.zero_epe_cm:.2f}), mean F {result.mean_f:.3f}, "
+            f"extracted {result.extracted}/{result.true_objects}{', the best so far' if best else ''}"
+        )
+
+    def note(self, text: str) -> None:
+        """See `Watch`."""
+        self._console.print(text, markup=False)
+
+    def close(self) -> None:
+        """See `Watch`."""
+        self._bar.stop()
+
+
+class TensorBoard(Watch):
+    """Writes the same numbers for TensorBoard, where it is installed; otherwise does nothing."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._writer: Any = None
+
+    def start(self, step: int, total: int | None) -> None:
+        """See `Watch`."""
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ImportError:
+            return
+        # What an interrupted run wrote past its checkpoint is written anew, and hidden here.
+        self._writer = SummaryWriter(str(self._folder), purge_step=step)
+
+    def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+        """See `Watch`."""
+        self._write(step, "train", {**line["losses"], "learning_rate": line["learning_rate"]})
+
+    def validated(self, step: int, result: Validation, best: bool) -> None:
+        """See `Watch`."""
+        values = result.to_dict()
+        losses = values.pop("losses")
+        self._write(step, "validation", {**losses, **values})
+
+    def close(self) -> None:
+        """See `Watch`."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def _write(self, step: int, group: str, values: Mapping[str, float]) -> None:
+        if self._writer is not None:
+            for name, value in values.items():
+                self._writer.add_scalar(f"{group}/{name}", value, step)
+
+
+class Several(Watch):
+    """Hands everything on to each of some."""
+
+    def __init__(self, *watches: Watch) -> None:
+        self._watches = watches
+
+    def start(self, step: int, total: int | None) -> None:
+        """See `Watch`."""
+        for one in self._watches:
+            one.start(step, total)
+
+    def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+        """See `Watch`."""
+        for one in self._watches:
+            one.line(step, progress, line)
+
+    def validated(self, step: int, result: Validation, best: bool) -> None:
+        """See `Watch`."""
+        for one in self._watches:
+            one.validated(step, result, best)
+
+    def note(self, text: str) -> None:
+        """See `Watch`."""
+        for one in self._watches:
+            one.note(text)
+
+    def close(self) -> None:
+        """See `Watch`."""
+        for one in self._watches:
+            one.close()

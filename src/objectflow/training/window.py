@@ -1,0 +1,53 @@
+"""The losses of the steps since the last look: read at once, so that a GPU is not waited for at every step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from objectflow.errors import TrainingError
+from objectflow.training.parallel import Process
+
+GRADIENT = "gradient"
+"""The name under which the gradient's norm is checked and logged."""
+
+
+class Window:
+    """Collects steps; `read` empties it."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+        self._steps: list[tuple[int, Sequence[str]]] = []
+        self._values: list[Tensor] = []
+        self._names: list[str] = []
+
+    def add(self, step: int, keys: Sequence[str], losses: Mapping[str, Tensor], gradient: Tensor) -> None:
+        """Note a step: its number, its pairs' keys, its losses and the norm of its gradient; nothing waits."""
+        self._names = [*losses, GRADIENT]
+        self._steps.append((step, keys))
+        self._values.append(torch.stack([*losses.values(), gradient.to(losses["total"].dtype)]).detach())
+
+    def read(self) -> dict[str, float]:
+        """The mean of each value over the steps and all processes.
+
+        Raises:
+            TrainingError: a value is not finite; the message names the step and the pairs that this process had.
+        """
+        values = torch.stack(self._values)
+        local = values.cpu()
+        for (step, keys), row in zip(self._steps, local, strict=True):
+            bad = (~row.isfinite()).nonzero()[:, 0].tolist()
+            if bad:
+                what = ", ".join(f"{self._names[index]} is {float(row[index])}" for index in bad)
+                raise TrainingError(
+                    f"step {step}: {what}; the pairs were {', '.join(keys)}: continue from the last checkpoint with a "
+                    "lower learning rate, or look at these pairs with `objectflow show`"
+                )
+        mean = self._process.mean(values.mean(dim=0))
+        self._steps, self._values = [], []
+        return dict(zip(self._names, mean.tolist(), strict=True))
+
+    def __len__(self) -> int:
+        return len(self._steps)
