@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import interruptions
 from objectflow.cli import main
 from objectflow.dataset.shards import open_pairs, open_sequences
+from objectflow.synth import generate as generating
 
 pytest.importorskip("mujoco_warp", reason="generating needs the extra [synth]")
 
@@ -38,6 +42,19 @@ def test_two_workers_make_the_same_bytes(data: Path, tmp_path: Path) -> None:
         assert (tmp_path / "two" / path.name).read_bytes() == path.read_bytes()
 
 
+def test_killed_with_its_workers_and_continued_it_makes_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twice here; `python benchmarks/interruptions.py` does it ten times, and with Ray."""
+    settings = interruptions.Settings(pairs=6, rows_a_shard=2, kills=2)
+    monkeypatch.setattr(generating, "ROWS_A_SHARD", settings.rows_a_shard)
+    words = ["generate", "--preset", "small", "--samples", "1", "--pairs", "6", "--workers", "1"]
+    assert main([*words, "--out", str(tmp_path / "one")]) == 0
+    shards, _ = interruptions.killed(settings, tmp_path / "killed", whole=8.0)
+    assert len(shards) == 2
+    assert interruptions.content(tmp_path / "killed") == interruptions.content(tmp_path / "one")
+
+
 def test_views_are_siblings_and_sequences_have_eight_frames(tmp_path: Path) -> None:
     words = ["generate", "--preset", "small", "--workers", "1", "--split", "test", "--out", str(tmp_path / "set")]
     assert main([*words, "--pairs", "2", "--views", "2", "--sequences", "1"]) == 0
@@ -47,6 +64,9 @@ def test_views_are_siblings_and_sequences_have_eight_frames(tmp_path: Path) -> N
     assert not np.array_equal(first.curr.color, second.curr.color)
     rows = list(open_sequences(tmp_path / "set", "test"))
     assert [row.frame for row in rows] == [20, 30, 40, 50, 60, 70, 80, 90]
+    # Scene 0 of the pairs and of the sequences are two scenes, and named as such.
+    assert {row.sequence for row in rows} == {"test-sequence-000000"}
+    assert first.scene == "test-000000"
 
 
 def test_show_draws_a_row_and_names_the_keys_there_are(
