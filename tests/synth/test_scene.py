@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from objectflow.errors import DatasetError
 from objectflow.geometry import inverse, project
 from objectflow.synth.layout import CLEARANCE, Box, hang, meeting_heights
+from objectflow.synth.looks import draw_lights
 from objectflow.synth.model import ModelRef, ObjectModel
 from objectflow.synth.objects import open_library
 from objectflow.synth.scene import Scene, SceneSettings, View, draw_scene, draw_scene_and_models
@@ -63,6 +64,20 @@ def test_scenes_lie_in_the_paper_s_ranges() -> None:
         assert (scene.intrinsics.fx, scene.intrinsics.cx, scene.intrinsics.cy) == (236.46, 159.5, 119.5)
     assert len(counts) > 5
     assert lights == {1, 2, 3, 4}
+
+
+def test_most_light_comes_from_all_sides_and_lamps_differ() -> None:
+    ambient, direct, tints = [], [], set[tuple[float, ...]]()
+    for seed in range(200):
+        lights = draw_lights(np.random.default_rng(seed), (1, 4))
+        ambient.append(sum(light.ambient[1] for light in lights))
+        direct.append(sum(light.diffuse[1] for light in lights))
+        tints |= {light.diffuse for light in lights}
+        # A white surface that all lamps face is neither dark nor much too bright.
+        assert 0.6 < ambient[-1] + direct[-1] < 1.4
+    assert np.mean(np.array(ambient) > np.array(direct)) > 0.9
+    assert max(direct) / min(direct) > 2
+    assert len(tints) > 200
 
 
 def test_a_view_looks_at_its_target_with_the_image_level() -> None:

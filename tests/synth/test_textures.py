@@ -12,6 +12,7 @@ from objectflow.synth.textures import (
     OBJECT_KINDS,
     TextureSpec,
     draw_texture,
+    draw_word,
     list_images,
     value_noise,
 )
@@ -46,6 +47,26 @@ def test_patterns_have_contrast(kind: str) -> None:
     picture = draw_texture(TextureSpec(kind, seed=3, colors=colors, scale=3), 128)
 
     assert picture.astype(float).std(axis=(0, 1)).max() > 10
+
+
+@pytest.mark.parametrize("size", [64, 128, 400])
+@pytest.mark.parametrize("left", [0.0, 1.0])
+@pytest.mark.parametrize("middle", [0.16, 0.42])
+def test_a_word_is_never_cut(size: int, left: float, middle: float) -> None:
+    for word in ("III", "WWWWWW", "QJQJQJ"):
+        ink = draw_word(word, size, left, middle) > 0
+        rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+
+        assert 0 < columns[0] < columns[-1] < size - 1
+        assert 0 < rows[0] < rows[-1] < 0.6 * size  # the small print begins below
+        assert 0.12 * size < columns[-1] - columns[0] < 0.75 * size
+
+
+def test_a_labels_word_can_be_read() -> None:
+    # Ground, band and accent are alike: the word must take another colour.
+    picture = draw_texture(TextureSpec("label", seed=3, colors=((90, 90, 90), (95, 95, 95), (100, 100, 100))), 128)
+
+    assert (np.abs(picture[: int(0.6 * 128)].astype(float) - 95).mean(axis=-1) > 45).sum() > 200
 
 
 def test_plain_keeps_its_colour() -> None:

@@ -214,7 +214,7 @@ def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) ->
     return np.asarray(out if vertical else out.swapaxes(0, 1), dtype=np.float32) * _shade(rng, size, 0.08)
 
 
-def _word(word: str, size: int, left: float, middle: float) -> Float:
+def draw_word(word: str, size: int, left: float, middle: float) -> Float:
     """A (size, size) picture, 1 = ink, of a word that is whole: two thirds of the picture wide at most.
 
     `left` is the share of the free width left of it, `middle` is the share of the height above its middle.
@@ -245,7 +245,7 @@ def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> F
     top, height = rng.uniform(0.04, 0.25), rng.uniform(0.24, 0.34)
     cv2.rectangle(out, (0, int(top * size)), (size, int((top + height) * size)), colors[1].tolist(), -1)
     word = "".join(chr(65 + letter) for letter in rng.integers(0, 26, int(rng.integers(3, 7))))
-    ink = _word(word, size, float(rng.random()), top + height / 2)
+    ink = draw_word(word, size, float(rng.random()), top + height / 2)
     out = _mix(out, _readable(colors[2], colors[1]), ink)
     rows, columns = slice(int(0.63 * size), int(0.97 * size)), slice(int(0.5 * size), int(0.96 * size))
     panel = np.full_like(out[rows, columns], 225)
