@@ -5,8 +5,10 @@ from __future__ import annotations
 import fcntl
 import itertools
 import json
+import math
 import shutil
 import statistics
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,9 +27,9 @@ from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_late
 from objectflow.dataset.manifest import hash_file
 from objectflow.errors import ReaderError, ResultError, StorageError
 from objectflow.estimator import Estimator
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.frame import check_pair
 from objectflow.motion import SceneMotion
-from objectflow.readers import FrameSequence, open_source
+from objectflow.readers import CutOffWarning, FrameSource, open_source
 from objectflow.track_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.tracking import Tracker
 
@@ -35,6 +37,8 @@ EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
   objectflow run recording --every 5 --camera moving --out result
   objectflow run recording --intrinsics 615 615 320 240 --depth-scale 1000
+  objectflow run table.bag --dt 0.5
+  objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
 SETTINGS = "settings.json"
@@ -46,8 +50,9 @@ LONGEST_TABLE = 40
 class Run(MethodArguments):
     """Estimate every consecutive pair of a sequence: one result folder a pair, a table, and a trajectory an object.
 
-    The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt) or a folder of numbered frames
-    (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png). Finished pairs are skipped.
+    The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
+    (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png), or a ROS 1 bag, a ROS 2 bag or an MCAP file.
+    Finished pairs are skipped.
     """
 
     source: Annotated[Positional[Path], option("SOURCE")]
@@ -56,14 +61,26 @@ class Run(MethodArguments):
     every: int = 1
     """Take every N-th frame."""
 
+    dt: Annotated[float | None, option("SECONDS", "every frame")] = None
+    """Take a frame every so many seconds instead; things must have moved between two frames."""
+
+    color_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
+    """Of a bag: where the colour images are."""
+
+    depth_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
+    """Of a bag: where the depth images are, registered to colour."""
+
     def run(self) -> None:
         """Read, estimate and write pair by pair."""
         estimator = self.estimator()
-        with quiet_libraries():
-            sequence = open_source(self.source, self.camera_options())
+        with quiet_libraries(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", CutOffWarning)
+            sequence = self._open()
             pairs = self._pairs(sequence)
             # A source whose first frames are bad must leave no output folder behind.
             check_pair(*(sequence[index] for index in pairs[0]))
+        for warning in caught:
+            print(f"note: {warning.message}")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with _claim(out, self._settings(sequence, estimator)):
             if self.out is None:
@@ -89,23 +106,46 @@ class Run(MethodArguments):
                 print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
         print(f"written to {out}")
 
-    def _pairs(self, sequence: FrameSequence) -> list[tuple[int, int]]:
-        if self.every < 1:
-            raise ReaderError(f"--every must be at least 1, not {self.every}")
-        indices = range(0, len(sequence), self.every)
+    def _open(self) -> FrameSource:
+        return open_source(
+            self.source, self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic
+        )
+
+    def _pairs(self, sequence: FrameSource) -> list[tuple[int, int]]:
+        """Consecutive pairs of the frames that are taken."""
+        if self.every < 1 or (self.dt is not None and not self.dt > 0):
+            raise ReaderError("--every must be at least 1 and --dt above 0")
+        if self.dt is not None and self.every > 1:
+            raise ReaderError("both --every and --dt are given: leave one out")
+        indices = list(range(0, len(sequence), self.every)) if self.dt is None else self._by_time(sequence, self.dt)
         if len(indices) < 2:
+            taken = f"every {self.every} taken" if self.dt is None else f"one every {self.dt:g} s taken"
             raise ReaderError(
-                f"{self.source}: {len(sequence)} frame{'s' * (len(sequence) != 1)}, every {self.every} taken: "
-                "a pair needs two"
+                f"{self.source}: {len(sequence)} frame{'s' * (len(sequence) != 1)}, {taken}: a pair needs two"
             )
         return list(itertools.pairwise(indices))
 
-    def _settings(self, sequence: FrameSequence, estimator: Estimator) -> dict[str, Any]:
+    def _by_time(self, sequence: FrameSource, dt: float) -> list[int]:
+        """The first frame, and each that is at least `dt` seconds after the one before."""
+        taken, last = [], -math.inf
+        for index in range(len(sequence)):
+            time = sequence.timestamp(index)
+            if time is None:
+                raise ReaderError(f"{self.source} has no times: use --every instead of --dt")
+            # A camera's times jitter: half a millisecond early is in time.
+            if time >= last + dt - 0.0005:
+                taken.append(index)
+                last = time
+        return taken
+
+    def _settings(self, sequence: FrameSource, estimator: Estimator) -> dict[str, Any]:
         """Everything that the results depend on."""
         weights = getattr(estimator, "weights", None)
         return {
             "source": str(self.source.resolve()),
             "every": self.every,
+            "dt": self.dt,
+            "topics": [self.color_topic, self.depth_topic],
             "method": self.method,
             "camera": self.camera,
             "intrinsics": sequence.camera.to_dict(),
@@ -166,28 +206,22 @@ def _name(pair: tuple[int, int]) -> str:
     return f"pair_{pair[0]:06d}_{pair[1]:06d}"
 
 
-def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSequence) -> int:
+def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> int:
     """Link the objects of all pairs and write their trajectories; return how many there are.
 
     Read back from the results, so that a continued run links as an undisturbed one does.
     """
     tracker = Tracker()
-    timed = all(sequence[index].timestamp is not None for index in (pairs[0][0], pairs[-1][1]))
-    last_time = None
+    times = {index: sequence.timestamp(index) for pair in pairs for index in pair}
     for prev_index, curr_index in pairs:
-        curr = sequence[curr_index]
-        if last_time is None:
-            last_time = _time(sequence[prev_index], prev_index, timed)
-        time = _time(curr, curr_index, timed)
-        tracker.update(last_time, curr, time, SceneMotion.load(out / _name((prev_index, curr_index))))
-        last_time = time
+        # Frame numbers where a source has no times.
+        prev_time, time = (
+            float(index) if None in times.values() else float(times[index] or 0) for index in (prev_index, curr_index)
+        )
+        motion = SceneMotion.load(out / _name((prev_index, curr_index)))
+        tracker.update(prev_time, sequence[curr_index], time, motion)
     write_tracks(out, tracker)
     return len(tracker.tracks)
-
-
-def _time(frame: RgbdFrame, index: int, timed: bool) -> float:
-    """The frame's own time, or its number where a source has no times."""
-    return float(frame.timestamp) if timed and frame.timestamp is not None else float(index)
 
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:

@@ -8,14 +8,16 @@ from objectflow.errors import ReaderError
 from objectflow.readers.folder import open_folder
 from objectflow.readers.options import NAMED_CAMERAS, CameraOptions
 from objectflow.readers.pair import is_pair, open_files, open_pair
-from objectflow.readers.sequence import FramePaths, FrameSequence
+from objectflow.readers.sequence import CutOffWarning, FramePaths, FrameSequence, FrameSource
 from objectflow.readers.tum import is_tum, open_tum
 
 __all__ = [
     "NAMED_CAMERAS",
     "CameraOptions",
+    "CutOffWarning",
     "FramePaths",
     "FrameSequence",
+    "FrameSource",
     "open_files",
     "open_folder",
     "open_pair",
@@ -23,16 +25,43 @@ __all__ = [
     "open_tum",
 ]
 
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 
-def open_source(path: str | Path, options: CameraOptions | None = None) -> FrameSequence:
-    """Open a pair folder, a TUM RGB-D directory or a folder of numbered frames, whichever it is.
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag file, or the folder of a ROS 2 bag."""
+    if path.is_file():
+        return path.suffix in BAG_SUFFIXES
+    return (path / "metadata.yaml").is_file() or any(any(path.glob(f"*{end}")) for end in BAG_SUFFIXES[1:])
+
+
+def open_source(
+    path: str | Path,
+    options: CameraOptions | None = None,
+    *,
+    color_topic: str | None = None,
+    depth_topic: str | None = None,
+) -> FrameSource:
+    """Open a pair folder, a TUM RGB-D directory, a folder of numbered frames or a bag, whichever it is.
+
+    Args:
+        path: a folder; of bags also a file.
+        options: about the camera.
+        color_topic, depth_topic: of a bag that has several.
 
     Raises:
-        ReaderError: no such folder, or no frames in it; no camera.
+        ReaderError: no such folder, or no frames in it; no camera; topics for what is no bag.
+        MissingExtraError: a bag, and rosbags is not installed.
         CameraError: a camera file without the values of a camera.
         FrameError: a depth scale that is none.
     """
     path = Path(path)
+    if path.exists() and is_bag(path):
+        from objectflow.readers.bag import open_bag
+
+        return open_bag(path, options, color_topic=color_topic, depth_topic=depth_topic)
+    if color_topic is not None or depth_topic is not None:
+        raise ReaderError(f"{path}: topics are for bags (.bag, .mcap, a ROS 2 bag's folder), and this is none")
     if not path.is_dir():
         raise ReaderError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
     if is_tum(path):

@@ -54,11 +54,18 @@ class CameraOptions:
             CameraError: values that make no camera.
             FrameError: a depth scale that is none.
         """
+        height, width = read_color(first_color).shape[:2]
+        return self.fit((width, height), folder, str(first_color), default_scale)
+
+    def fit(
+        self, size: tuple[int, int], folder: Path, image: str = "the image", default_scale: float = DEFAULT_DEPTH_SCALE
+    ) -> CameraSetup:
+        """The camera of images of a size (width, height); arguments and errors as `resolve`'s."""
         if self.camera_file is not None and self.intrinsics is not None:
             raise ReaderError("both a camera file and intrinsics are given: leave one out")
         if self.depth_scale is not None:
             check_depth_scale(self.depth_scale)
-        height, width = read_color(first_color).shape[:2]
+        width, height = size
         if self.intrinsics is not None:
             fx, fy, cx, cy = self.intrinsics
             camera, scale = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy), None
@@ -67,7 +74,7 @@ class CameraOptions:
         if (camera.width, camera.height) != (width, height):
             raise ReaderError(
                 f"{self.camera_file or folder / 'camera.json'}: the camera is {camera.width}x{camera.height}, "
-                f"but {first_color} is {width}x{height}: give the intrinsics of that size"
+                f"but {image} is {width}x{height}: give the intrinsics of that size"
             )
         return CameraSetup(camera, self.depth_scale or scale or default_scale)
 

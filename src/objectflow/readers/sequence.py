@@ -1,12 +1,41 @@
-"""`FrameSequence`: what every reader returns, frames read one by one when they are asked for."""
+"""`FrameSource`: what every reader returns; `FrameSequence`: the one for image files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from objectflow.frame import Camera, RgbdFrame
+
+
+class CutOffWarning(UserWarning):
+    """A recording ends in the middle; what is whole is used."""
+
+
+class FrameSource(Protocol):
+    """The frames of one camera in order of time, read one by one when they are asked for."""
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of all frames."""
+        ...
+
+    @property
+    def depth_scale(self) -> float:
+        """Depth units a metre."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> RgbdFrame: ...
+
+    def __iter__(self) -> Iterator[RgbdFrame]: ...
+
+    def timestamp(self, index: int, /) -> float | None:
+        """Seconds, without reading the frame; None where the source has no times."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -49,3 +78,7 @@ class FrameSequence:
 
     def __iter__(self) -> Iterator[RgbdFrame]:
         return (self[index] for index in range(len(self)))
+
+    def timestamp(self, index: int) -> float | None:
+        """Seconds, without reading the frame; None where the source has no times."""
+        return self.paths[index].timestamp

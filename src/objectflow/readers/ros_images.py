@@ -1,0 +1,136 @@
+"""ROS image messages as arrays: raw, `compressed` and `compressedDepth`."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import ReaderError
+
+_DEPTH = {"16uc1", "mono16", "32fc1"}
+_LAYOUTS: dict[str, tuple[type[np.generic], int, int | None]] = {
+    "rgb8": (np.uint8, 3, None),
+    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "8uc3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
+    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "8uc4": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
+    "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "8uc1": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
+    "bayer_rggb8": (np.uint8, 1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": (np.uint8, 1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": (np.uint8, 1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": (np.uint8, 1, cv2.COLOR_BayerGRBG2RGB),
+    "16uc1": (np.uint16, 1, None),
+    "mono16": (np.uint16, 1, None),
+    "32fc1": (np.float32, 1, None),
+}
+_PNG = b"\x89PNG"
+
+
+def is_depth(message: Any) -> bool | None:
+    """Whether an image message holds depth, by its encoding or format; None if it is no image.
+
+    Two bytes a pixel under an encoding of one are depth too: `to_depth` says what is wrong with them.
+    """
+    if hasattr(message, "encoding"):
+        return str(message.encoding).lower() in _DEPTH or _is_mislabelled(message)
+    if hasattr(message, "format"):
+        return "compresseddepth" in str(message.format).lower().replace(" ", "")
+    return None
+
+
+def to_color(message: Any, topic: str) -> NDArray[np.uint8]:
+    """An Image or CompressedImage message as (H, W, 3) uint8 RGB.
+
+    Raises:
+        ReaderError: it is no colour image, or it is broken.
+    """
+    if hasattr(message, "format"):
+        image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
+        if image is None:
+            raise ReaderError(f"{topic}: an image in format {message.format!r} that cannot be decoded")
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    encoding = str(message.encoding).lower()
+    if encoding in _DEPTH:
+        raise ReaderError(f"{topic}: encoding {message.encoding} is depth, not colour: name another --color-topic")
+    pixels, conversion = _pixels(message, topic)
+    return np.ascontiguousarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+
+
+def to_depth(message: Any, topic: str, depth_scale: float) -> NDArray[np.float32]:
+    """An Image or compressedDepth message as (H, W) float32 metres, 0 = missing.
+
+    Args:
+        message: whole numbers count `depth_scale` a metre; floating-point numbers are metres (REP 118).
+        topic: for messages.
+        depth_scale: units a metre.
+
+    Raises:
+        ReaderError: it is no depth image, or it is broken.
+    """
+    if hasattr(message, "format"):
+        raw = _decompress_depth(bytes(message.data), str(message.format), topic)
+    elif _is_mislabelled(message):
+        size = int(message.step) // int(message.width)
+        raise ReaderError(
+            f"{topic}: encoding {message.encoding} says 1 byte a pixel, but rows have {size}: "
+            "if this is 16-bit depth, its encoding must be 16UC1"
+        )
+    elif str(message.encoding).lower() not in _DEPTH:
+        raise ReaderError(
+            f"{topic}: encoding {message.encoding} is not depth (16UC1, mono16 or 32FC1): name another --depth-topic"
+        )
+    else:
+        raw = _pixels(message, topic)[0]
+    if raw.dtype == np.uint16:
+        return np.asarray(raw / np.float32(depth_scale), dtype=np.float32)
+    metres = np.asarray(raw, dtype=np.float32)
+    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
+
+
+def _is_mislabelled(message: Any) -> bool:
+    return str(message.encoding).lower() in ("mono8", "8uc1") and int(message.step) >= 2 * int(message.width) > 0
+
+
+def _pixels(message: Any, topic: str) -> tuple[NDArray[Any], int | None]:
+    """The array of a raw image, and the conversion that makes it RGB."""
+    encoding = str(message.encoding).lower()
+    if encoding not in _LAYOUTS:
+        raise ReaderError(f"{topic}: image encoding {message.encoding!r} is not known: {', '.join(_LAYOUTS)}")
+    kind, channels, conversion = _LAYOUTS[encoding]
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    row = width * channels * np.dtype(kind).itemsize
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    if height < 1 or width < 1 or step < row or len(data) < height * step:
+        raise ReaderError(
+            f"{topic}: an image of {width}x{height} {message.encoding} with rows of {step} bytes is broken"
+        )
+    layout = np.dtype(kind).newbyteorder(">" if int(message.is_bigendian) else "<")
+    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
+    pixels = rows.view(layout).astype(kind)
+    return pixels.reshape((height, width, channels) if channels > 1 else (height, width)), conversion
+
+
+def _decompress_depth(data: bytes, kind: str, topic: str) -> NDArray[Any]:
+    """The compressedDepth transport: a header of 12 bytes (a format and two numbers), then a PNG of 16 bits.
+
+    Floating-point depth is stored as whole inverse depth: `z = a / (value - b)`.
+    """
+    start = data.find(_PNG)
+    if start < 0:
+        raise ReaderError(f"{topic}: depth in format {kind!r} without a PNG inside: only PNG compression is known")
+    image = cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.dtype != np.uint16 or image.ndim != 2:
+        raise ReaderError(f"{topic}: depth in format {kind!r} that is no 16-bit PNG")
+    if "32fc1" not in kind.lower():
+        return np.asarray(image)
+    if start < 12:
+        raise ReaderError(f"{topic}: depth in format {kind!r} without the header of its transport")
+    a, b = struct.unpack("<ff", data[start - 8 : start])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(image > 0, a / (image.astype(np.float32) - b), 0).astype(np.float32)
