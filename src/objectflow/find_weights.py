@@ -16,8 +16,8 @@ HUB_VARIABLE = "OBJECTFLOW_HUB"
 """An environment variable: the repository, OWNER/NAME, that is asked where the package has no weights of a method."""
 _PATIENCE = 10
 """Seconds to wait for the hub's answer."""
-TRAINED = ("weights.safetensors", "best/weights.safetensors", "latest/weights.safetensors")
-"""What training writes into its output folder."""
+TRAINED = "weights.safetensors"
+"""What training writes into its output folder, and into each checkpoint."""
 
 
 def find_weights(method: str, given: str | Path | None = None) -> Path:
@@ -62,7 +62,7 @@ def _from_disk(path: Path, method: str) -> Path:
         return path
     if not path.exists():
         raise MethodError(f"{path}: no such file or folder of weights")
-    names = (f"{method}.safetensors", *TRAINED)
+    names = (f"{method}.safetensors", TRAINED)
     for name in names:
         if (path / name).is_file():
             return path / name
