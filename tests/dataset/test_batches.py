@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from itertools import islice
 from pathlib import Path
 
@@ -78,9 +79,23 @@ def test_worker_processes_change_nothing(shards: Shards[PairRow]) -> None:
     alone = Batches(shards, 5, size=(12, 16), seed=2, cache_bytes=0)
     shared = Batches(shards, 5, size=(12, 16), seed=2, workers=2, cache_bytes=150_000)
     before = torch.get_rng_state()
-    for one, other in zip(islice(alone.iterate(), 10), shared.iterate(), strict=False):
+    batches = shared.iterate()
+    for one, other in zip(islice(alone.iterate(), 10), batches, strict=False):
         assert same(one, other)
     assert torch.equal(torch.get_rng_state(), before)
+    assert len(multiprocessing.active_children()) == 2
+    batches.close()
+    assert not multiprocessing.active_children()
+
+
+def test_a_killed_worker_is_reported_and_none_is_left(shards: Shards[PairRow]) -> None:
+    batches = Batches(shards, 5, size=(12, 16), seed=2, workers=1).iterate()
+    next(batches)
+    (worker,) = multiprocessing.active_children()
+    worker.kill()
+    with pytest.raises(DatasetError, match="a process that reads data ended"):
+        list(islice(batches, 20))
+    assert not multiprocessing.active_children()
 
 
 def test_ranks_part_the_joint_batch(shards: Shards[PairRow]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
@@ -128,7 +128,7 @@ class Batches:
         first = (step * self.world_size + self.rank) * self.batch_size
         return [self._row(position) for position in range(first, first + self.batch_size)]
 
-    def iterate(self, start_step: int = 0) -> Iterator[Batch]:
+    def iterate(self, start_step: int = 0) -> Generator[Batch]:
         """Batches from a step on, without end. Closing the iterator ends its worker processes.
 
         Raises:
@@ -136,7 +136,7 @@ class Batches:
         """
         return self._load(_Steps(self, start_step))
 
-    def one_pass(self) -> Iterator[Batch]:
+    def one_pass(self) -> Generator[Batch]:
         """Every `world_size`-th row, this rank's, once, as they are stored; the last batch may be shorter."""
         own = list(range(self.rank, len(self.keys), self.world_size))
         return self._load([own[i : i + self.batch_size] for i in range(0, len(own), self.batch_size)])
@@ -145,7 +145,7 @@ class Batches:
         turn, place = divmod(position, len(self.keys))
         return int(_order(self.seed, turn, len(self.keys))[place]) if self.shuffle else place
 
-    def _load(self, steps: Sequence[list[int]] | _Steps) -> Iterator[Batch]:
+    def _load(self, steps: Sequence[list[int]] | _Steps) -> Generator[Batch]:
         loader: DataLoader[tuple[list[int], Tensor | str]] = DataLoader(
             _Source(self._reader),  # type: ignore[arg-type]
             batch_size=None,
