@@ -45,7 +45,7 @@ def _flow_table(evaluation: Evaluation) -> Table:
         Column("epe_masked", "EPE masked, cm", digits=2),
         Column("aae_all", "AAE all, deg", digits=2),
         Column("aae_masked", "AAE masked, deg", digits=2),
-        Column("seconds", "s a pair"),
+        Column("seconds", "s/pair"),
     )
 
     def cells(summary: Summary) -> dict[str, Cell]:
