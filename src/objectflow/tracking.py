@@ -35,6 +35,7 @@ class TrackerSettings:
         min_score: objects below it, such as regions that no motion explains, get no track.
         coast: pairs for which an unseen track is also looked for where its last motion would have carried it.
         forget: pairs after which a track that was not seen again ends. Things that stop are not seen: they rest.
+        history: poses that are kept of each track, and of the camera; None keeps all, and tracks that ended too.
     """
 
     min_overlap: float = 0.2
@@ -42,6 +43,7 @@ class TrackerSettings:
     min_score: float = 0.3
     coast: int = 3
     forget: int = 300
+    history: int | None = None
 
 
 @dataclass(eq=False)
@@ -73,14 +75,23 @@ class _Memory:
 
 
 class Tracker:
-    """Links the objects of pair after pair. Its memory grows by a pose an object and pair, and no further."""
+    """Links the objects of pair after pair.
+
+    Its memory grows by a pose an object and pair, or not at all where the settings limit the history.
+    """
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
         self.settings = settings or TrackerSettings()
-        self.tracks: list[Track] = []
+        self._tracks: dict[int, Track] = {}
+        self._next = 1
         self.camera_times: list[float] = []
         self.world_T_camera: list[Array] = []
         self._memories: dict[int, _Memory] = {}
+
+    @property
+    def tracks(self) -> list[Track]:
+        """Every track that is kept, by its id."""
+        return list(self._tracks.values())
 
     def update(self, prev_time: float, curr: RgbdFrame, time: float, motion: SceneMotion) -> dict[int, int]:
         """Take in the next pair; its previous frame is the current one of the last call.
@@ -128,7 +139,15 @@ class Tracker:
             self._memories[track.id] = _Memory(geometry.transform(world_T_curr, surface), world_step)
             found[obj.id] = track.id
         self._age(set(found.values()))
+        self._trim()
         return found
+
+    def reset(self) -> None:
+        """Forget where things are, as after a cut: the next pair starts anew, under new ids."""
+        self.camera_times, self.world_T_camera = [], []
+        self._memories = {}
+        if self.settings.history is not None:
+            self._tracks = {}
 
     def _link(
         self, objects: list[ObjectMotion], surfaces: list[Array], camera: Camera, world_T_prev: Array
@@ -161,7 +180,7 @@ class Tracker:
     ) -> Track:
         """The track of that number, or a new one that starts where the object was in the previous frame."""
         if number is not None:
-            track = self.tracks[number - 1]
+            track = self._tracks[number]
             if track.times[-1] < prev_time:
                 # It rested until the previous frame, as far as anybody saw.
                 track.times.append(prev_time)
@@ -171,8 +190,9 @@ class Tracker:
             return track
         start = np.eye(4)
         start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, surface.mean(axis=0))
-        track = Track(len(self.tracks) + 1, [prev_time], [start], [0], [obj.score])
-        self.tracks.append(track)
+        track = Track(self._next, [prev_time], [start], [0], [obj.score])
+        self._tracks[self._next] = track
+        self._next += 1
         return track
 
     def _age(self, seen: set[int]) -> None:
@@ -181,6 +201,17 @@ class Tracker:
                 self._memories[number].unseen += 1
                 if self._memories[number].unseen > self.settings.forget:
                     del self._memories[number]
+                    if self.settings.history is not None:
+                        del self._tracks[number]
+
+    def _trim(self) -> None:
+        """Keep no more history than the settings allow."""
+        keep = self.settings.history
+        if keep is None:
+            return
+        del self.camera_times[:-keep], self.world_T_camera[:-keep]
+        for track in self._tracks.values():
+            del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
 
 
 def footprint_overlap(a: Array, b: Array, camera: Camera) -> float:

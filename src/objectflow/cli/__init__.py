@@ -42,6 +42,7 @@ VERBS: dict[str, VerbEntry] = {
         "moving objects and scene flow of one pair of frames", "objectflow.cli.estimate", "Estimate"
     ),
     "run": VerbEntry("the same for every consecutive pair of a sequence", "objectflow.cli.run", "Run"),
+    "live": VerbEntry("follow objects while frames come in", "objectflow.cli.live", "Live"),
     "demo": VerbEntry("the pair that comes with the package, compared with its truth", "objectflow.cli.demo", "Demo"),
     "generate": VerbEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
     "check": VerbEntry("verify a data set and say what is in it", "objectflow.cli.check", "Check"),

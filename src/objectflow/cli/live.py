@@ -1,0 +1,112 @@
+"""`objectflow live`: follow objects while frames come in."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from tyro.conf import Positional
+
+from objectflow import files, geometry
+from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.output import check_not_below_a_file, quiet_libraries
+from objectflow.errors import ReaderError
+from objectflow.frame import RgbdFrame
+from objectflow.live import Latest, Step, follow, replay
+from objectflow.readers import open_source
+from objectflow.track_files import write_tracks
+from objectflow.tracking import Tracker, TrackerSettings
+
+EXAMPLES = """\
+  objectflow live realsense
+  objectflow live realsense --min-gap 0.5 --seconds 60 --out session
+  objectflow live table.bag --method consensus
+  objectflow live rgbd_dataset_freiburg1_desk --camera-file fr1 --speed 0.5
+"""
+
+HISTORY = 100_000
+"""Poses that are kept of each object for `--out`: an hour at the rate of the fastest method."""
+
+
+@dataclass(frozen=True)
+class Live(MethodArguments):
+    """Follow objects between the newest frames, as fast as the method can; frames that come meanwhile are dropped.
+
+    Prints a line an estimate: the objects' ids, speeds and turns. Ctrl-C ends it. With --out, trajectories are written
+    at the end.
+    """
+
+    source: Annotated[Positional[str], option("realsense | SOURCE")]
+    """A RealSense camera, or a recording that is played at its own speed: whatever `objectflow run` reads."""
+
+    min_gap: float = 0.3
+    """Seconds between two compared frames at least: slow things must have had the time to move."""
+
+    speed: float = 1.0
+    """Of a recording: 2 plays twice as fast."""
+
+    loop: bool = False
+    """Of a recording: start again at its end."""
+
+    seconds: Annotated[float | None, option("S", "until the source ends")] = None
+    """Stop after so much of the source's time."""
+
+    def run(self) -> None:
+        """Open, follow, print."""
+        if not self.speed > 0 or not self.min_gap >= 0 or (self.seconds is not None and not self.seconds > 0):
+            raise ReaderError("--speed and --seconds must be above 0, --min-gap at least 0")
+        if self.out is not None:
+            check_not_below_a_file(self.out)
+        estimator = self.estimator()
+        tracker = Tracker(TrackerSettings(history=2 if self.out is None else HISTORY))
+        steps: list[tuple[float, float, int]] = []
+        with quiet_libraries():
+            source = self._open()
+        with Latest(source) as latest, suppress(KeyboardInterrupt):
+            began: float | None = None
+            for step in follow(latest, estimator, tracker, min_gap=self.min_gap):
+                began = step.times[0] if began is None else began
+                print(describe(step), flush=True)
+                steps = [*steps[-999:], (step.latency, step.times[1] - step.times[0], step.dropped)]
+                if self.seconds is not None and step.times[1] - began >= self.seconds:
+                    break
+        if not steps:
+            raise ReaderError(f"{self.source}: no two frames at least {self.min_gap:g} s apart")
+        latency, gap = (statistics.median(values) for values in zip(*[(a, b) for a, b, _ in steps], strict=True))
+        dropped = sum(count for _, _, count in steps)
+        print(
+            f"{len(steps)} estimates, median latency {latency:.2f} s, one every {gap:.2f} s; {dropped} frames dropped"
+        )
+        if self.out is not None:
+            with files.new_folder(self.out) as folder:
+                write_tracks(folder, tracker)
+            print(f"{len(tracker.tracks)} objects followed, written to {self.out}")
+
+    def _open(self) -> Iterable[RgbdFrame]:
+        if self.source == "realsense":
+            from objectflow.readers.realsense import read_realsense
+
+            return read_realsense()
+        return replay(open_source(Path(self.source), self.camera_options()), speed=self.speed, loop=self.loop)
+
+
+def describe(step: Step) -> str:
+    """One line: the time, and each object's id, speed and turn."""
+    seconds = step.times[1] - step.times[0]
+    parts = []
+    for obj in step.motion.objects:
+        if obj.id in step.tracks:
+            camera = np.eye(4) if step.motion.camera_motion is None else step.motion.camera_motion
+            # Forward in time, and as if the camera had stood still.
+            there = geometry.transform(geometry.inverse(camera) @ obj.prev_T_curr, obj.center)
+            speed = 100 * float(np.linalg.norm(obj.center - there)) / seconds
+            turned = geometry.inverse(camera)[:3, :3] @ obj.prev_T_curr[:3, :3]
+            turn = float(np.degrees(geometry.rotation_angle(turned))) / seconds
+            parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {turn:.0f} deg/s")
+    what = ", ".join(parts) or "nothing moves"
+    return f"{step.times[1]:.2f} s  ({step.latency:.2f} s late, {step.dropped} dropped)  {what}"

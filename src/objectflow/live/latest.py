@@ -1,0 +1,87 @@
+"""The newest frame of a source that does not wait: what was not fetched in time is dropped, and nothing queues up."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator
+from types import TracebackType
+from typing import NamedTuple
+
+from objectflow.frame import RgbdFrame
+
+
+class Taken(NamedTuple):
+    """A frame and its number in the source, from 0."""
+
+    number: int
+    frame: RgbdFrame
+
+
+class Latest:
+    """Reads a source in a thread of its own and keeps its newest frame alone.
+
+    Use it in a `with` block: the thread ends with it, and so does the source if it can be closed.
+    """
+
+    def __init__(self, source: Iterable[RgbdFrame]) -> None:
+        self._source = source
+        self._changed = threading.Condition()
+        self._newest: Taken | None = None
+        self._ended = False
+        self._stop = False
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._read, name="frames", daemon=True)
+
+    def __enter__(self) -> Latest:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._changed:
+            self._stop = True
+        self._thread.join(timeout=5.0)
+
+    def take(self, after: int = -1, timeout: float | None = None) -> Taken | None:
+        """Wait for a frame newer than the one of number `after`.
+
+        Args:
+            after: number of the last frame taken.
+            timeout: seconds to wait; None waits for the source.
+
+        Returns:
+            The newest frame, or None at the source's end or after the timeout.
+
+        Raises:
+            ObjectflowError: what the source raised, once its earlier frames were taken.
+        """
+        with self._changed:
+            fresh = self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout)
+            if self._newest is not None and self._newest.number > after:
+                return self._newest
+            if fresh and self._error is not None:
+                raise self._error
+            return None
+
+    def _is_newer(self, after: int) -> bool:
+        return self._newest is not None and self._newest.number > after
+
+    def _read(self) -> None:
+        frames: Iterator[RgbdFrame] = iter(self._source)
+        try:
+            for number, frame in enumerate(frames):
+                with self._changed:
+                    if self._stop:
+                        break
+                    self._newest = Taken(number, frame)
+                    self._changed.notify_all()
+        except BaseException as error:  # handed to whoever takes frames; a thread has nobody to raise it to
+            self._error = error
+        finally:
+            close = getattr(frames, "close", None)
+            if close is not None:
+                close()
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()

@@ -1,0 +1,198 @@
+"""Live following: a slow method gets the newest frame, recordings play at their speed, sources stop cleanly."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from objectflow.cli import main
+from objectflow.errors import ReaderError
+from objectflow.frame import Camera, RgbdFrame
+from objectflow.live import Latest, follow, replay
+from objectflow.motion import SceneMotion
+from objectflow.readers import FramePaths, FrameSequence
+from objectflow.tracking import Tracker, TrackerSettings
+
+CAMERA = Camera(16, 12, 20.0, 20.0, 7.5, 5.5)
+PAIR = Path(__file__).resolve().parents[2] / "src" / "objectflow" / "demo" / "pair"
+
+
+def frame(number: int, period: float = 0.1) -> RgbdFrame:
+    return RgbdFrame(
+        np.full((12, 16, 3), number % 250, np.uint8), np.ones((12, 16), np.float32), CAMERA, timestamp=number * period
+    )
+
+
+class Nothing:
+    """An estimator that finds nothing, and remembers which frames it was shown."""
+
+    def __init__(self, wait: threading.Event | None = None) -> None:
+        self.shown: list[tuple[float | None, float | None]] = []
+        self.wait = wait
+
+    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        self.shown.append((prev.timestamp, curr.timestamp))
+        if self.wait is not None:
+            self.wait.wait(5)
+        shape = curr.depth.shape
+        return SceneMotion(np.zeros(shape, np.int32), np.zeros((*shape, 3), np.float32))
+
+
+def test_a_method_that_is_too_slow_gets_the_newest_frame_and_the_rest_is_dropped() -> None:
+    first, rest, given = threading.Event(), threading.Event(), threading.Event()
+
+    def source() -> Iterator[RgbdFrame]:
+        yield frame(0)
+        first.wait(5)
+        yield frame(1)
+        rest.wait(5)
+        for number in range(2, 50):
+            yield frame(number)
+        given.set()
+
+    estimator = Nothing()
+    with Latest(source()) as latest:
+        steps = follow(latest, estimator, Tracker())
+        # The first frame is taken before the second comes.
+        threading.Timer(0.05, first.set).start()
+        step = next(steps)
+        assert (step.times, step.dropped) == ((0.0, pytest.approx(0.1)), 0)
+        rest.set()
+        assert given.wait(5)
+        step = next(steps)
+        assert step.times == (pytest.approx(0.1), pytest.approx(4.9))
+        assert step.dropped == 47
+        with pytest.raises(StopIteration):
+            next(steps)
+    assert len(estimator.shown) == 2
+
+
+def test_frames_that_are_too_close_in_time_are_not_compared() -> None:
+    taken = threading.Semaphore(0)
+
+    def source() -> Iterator[RgbdFrame]:
+        for number in range(10):
+            yield frame(number)
+            taken.acquire(timeout=0.2)
+
+    estimator = Nothing()
+    with Latest(source()) as latest:
+        for _ in follow(latest, estimator, Tracker(), min_gap=0.35):
+            taken.release()
+    assert all(b - a >= 0.35 for a, b in estimator.shown if a is not None and b is not None)
+    assert len(estimator.shown) >= 1
+
+
+def test_a_recording_that_starts_again_starts_anew() -> None:
+    times = [0.0, 1.0, 0.0, 1.0]
+    turn = threading.Semaphore(0)
+
+    def source() -> Iterator[RgbdFrame]:
+        for number, seconds in enumerate(times):
+            yield RgbdFrame(
+                np.full((12, 16, 3), number, np.uint8), np.ones((12, 16), np.float32), CAMERA, timestamp=seconds
+            )
+            turn.acquire(timeout=0.2)
+
+    estimator = Nothing()
+    with Latest(source()) as latest:
+        for _ in follow(latest, estimator, Tracker()):
+            turn.release()
+    assert estimator.shown == [(0.0, 1.0), (0.0, 1.0)]
+
+
+def test_what_a_source_raises_reaches_the_one_who_takes() -> None:
+    def source() -> Iterator[RgbdFrame]:
+        yield frame(0)
+        raise ReaderError("the camera stopped")
+
+    with Latest(source()) as latest, pytest.raises(ReaderError, match="the camera stopped"):
+        latest.take(0, timeout=5)
+
+
+def test_leaving_stops_the_source() -> None:
+    closed = threading.Event()
+
+    def source() -> Iterator[RgbdFrame]:
+        try:
+            number = 0
+            while True:
+                yield frame(number)
+                number += 1
+                time.sleep(0.001)
+        finally:
+            closed.set()
+
+    with Latest(source()) as latest:
+        assert latest.take(timeout=5) is not None
+    assert closed.wait(5)
+
+
+class Clock:
+    """Time that passes only when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now = 50.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def sequence(count: int) -> FrameSequence:
+    paths = tuple(FramePaths(Path(f"{k}.png"), Path(f"{k}.png"), 1000 + 0.1 * k) for k in range(count))
+    return FrameSequence(paths, CAMERA, 1000.0)
+
+
+def test_a_recording_plays_at_its_speed_and_leaves_out_what_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(FrameSequence, "__getitem__", lambda self, index: frame(index))
+    for speed in (1.0, 4.0):
+        clock, seen = Clock(), []
+        for shown in replay(sequence(6), speed=speed, clock=clock, sleep=clock.sleep):
+            seen.append((shown.timestamp, clock.now - 50))
+        np.testing.assert_allclose([at for _, at in seen], 0.1 * np.arange(6) / speed, atol=1e-9)
+    clock, numbers = Clock(), []
+    for shown in replay(sequence(6), clock=clock, sleep=clock.sleep):
+        numbers.append(round((shown.timestamp or 0) * 10))
+        clock.now += 0.25  # slower than the frames come
+    # After frame 0 it is 0.25 s late: frame 1, due at 0.1 s, is left out, and so on; the last is always shown.
+    assert numbers == [0, 2, 5]
+
+
+def test_memory_stays_flat_over_two_thousand_frames() -> None:
+    tracker = Tracker(TrackerSettings(history=2))
+    shape = (12, 16)
+    labels = np.zeros(shape, np.int32)
+    labels[3:9, 4:10] = 1
+    from objectflow.motion import ObjectMotion
+
+    for number in range(1, 2000):
+        obj = ObjectMotion(1, 36, 0.9, True, np.array([0.0, 0.0, 1.0]), np.eye(4))
+        tracker.update(
+            number - 1, frame(number), number, SceneMotion(labels, np.zeros((*shape, 3), np.float32), (obj,))
+        )
+    assert len(tracker.camera_times) == len(tracker.world_T_camera) == 2
+    assert [len(track.times) for track in tracker.tracks] == [2]
+    assert tracker.tracks[0].id == 1
+
+
+def test_the_verb_follows_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["live", str(PAIR), "--min-gap", "0", "--out", str(tmp_path / "out")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "#1 " in lines[0]
+    assert "#3 " in lines[0]
+    assert lines[1].startswith("1 estimates, median latency")
+    assert sorted(path.name for path in (tmp_path / "out" / "trajectories").iterdir()) == [
+        f"object_00{number}.txt" for number in (1, 2, 3)
+    ]
+    assert main(["live", str(PAIR), "--min-gap", "60"]) == 2
+    assert "no two frames at least 60 s apart" in capsys.readouterr().err
+    assert main(["live", str(PAIR), "--speed", "0"]) == 2
+    assert main(["live", str(tmp_path / "nowhere")]) == 2

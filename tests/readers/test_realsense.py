@@ -1,0 +1,137 @@
+"""The RealSense reader against a stand-in for the driver: no camera is needed, and all that can go wrong does."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from objectflow.cli import main
+from objectflow.errors import MissingExtraError, ReaderError
+
+SCALE = 0.00025
+
+
+class Driver:
+    """What the reader needs of pyrealsense2, with frames that count up."""
+
+    def __init__(self, frames: int, *, plugged: bool = True) -> None:
+        self.left, self.plugged = frames, plugged
+        self.started = self.stopped = 0
+        self.real_time = True
+        self.streams: list[tuple[Any, ...]] = []
+        self.file: tuple[str, bool] | None = None
+
+    def module(self) -> ModuleType:
+        out = ModuleType("pyrealsense2")
+        out.pipeline = lambda: self  # type: ignore[attr-defined]
+        out.config = lambda: self  # type: ignore[attr-defined]
+        out.align = lambda stream: SimpleNamespace(process=lambda frames: frames)  # type: ignore[attr-defined]
+        out.stream = SimpleNamespace(color="color", depth="depth")  # type: ignore[attr-defined]
+        out.format = SimpleNamespace(rgb8="rgb8", z16="z16")  # type: ignore[attr-defined]
+        return out
+
+    # The configuration.
+    def enable_stream(self, *values: Any) -> None:
+        self.streams.append(values)
+
+    def enable_device(self, serial: str) -> None:
+        self.serial = serial
+
+    def enable_device_from_file(self, path: str, repeat_playback: bool) -> None:
+        self.file = path, repeat_playback
+
+    # The pipeline, its profile and its device.
+    def start(self, config: Any) -> Driver:
+        if not self.plugged:
+            raise RuntimeError("No device connected")
+        self.started += 1
+        return self
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+    def get_device(self) -> Driver:
+        return self
+
+    def as_playback(self) -> Any:
+        def set_real_time(value: bool) -> None:
+            self.real_time = value
+
+        return SimpleNamespace(set_real_time=set_real_time)
+
+    def first_depth_sensor(self) -> Any:
+        return SimpleNamespace(get_depth_scale=lambda: SCALE)
+
+    def get_stream(self, kind: str) -> Any:
+        inside = SimpleNamespace(width=8, height=6, fx=9.0, fy=9.5, ppx=3.0, ppy=2.5)
+        return SimpleNamespace(as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=lambda: inside))
+
+    def wait_for_frames(self, patience: int) -> Any:
+        if self.left == 0:
+            raise RuntimeError("Frame didn't arrive within 5000")
+        self.left -= 1
+        number = self.left
+        color = SimpleNamespace(
+            get_data=lambda: np.full((6, 8, 3), number, np.uint8), get_timestamp=lambda: 1000.0 * (100 - number)
+        )
+        depth = SimpleNamespace(get_data=lambda: np.full((6, 8), 4000, np.uint16))
+        return SimpleNamespace(get_color_frame=lambda: color, get_depth_frame=lambda: depth)
+
+
+def reader(monkeypatch: pytest.MonkeyPatch, driver: Driver) -> Any:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", driver.module())
+    monkeypatch.delitem(sys.modules, "objectflow.readers.realsense", raising=False)
+    return importlib.import_module("objectflow.readers.realsense")
+
+
+def test_frames_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(20)
+    module = reader(monkeypatch, driver)
+    frames = module.read_realsense(serial="123")
+    first = next(frames)
+    np.testing.assert_allclose(first.depth, 1.0, rtol=1e-6)
+    assert (first.camera.width, first.camera.fx, first.camera.cy) == (8, 9.0, 2.5)
+    # Exposure settles during the first frames; they are left out.
+    assert first.color[0, 0, 0] == 20 - module.WARM_UP - 1
+    assert first.timestamp == 100 - first.color[0, 0, 0]
+    frames.close()
+    assert (driver.started, driver.stopped, driver.serial) == (1, 1, "123")
+
+
+def test_a_recording_is_read_to_its_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    driver = Driver(5)
+    (tmp_path / "a.bag").write_bytes(b"")
+    frames = list(reader(monkeypatch, driver).read_realsense(tmp_path / "a.bag"))
+    assert len(frames) == 5
+    assert driver.file == (str(tmp_path / "a.bag"), False)
+    assert not driver.real_time
+    assert driver.stopped == 1
+
+
+def test_no_camera_and_one_that_is_pulled_out_are_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    module = reader(monkeypatch, Driver(0, plugged=False))
+    with pytest.raises(ReaderError, match=r"no RealSense camera \(No device connected\)"):
+        next(module.read_realsense())
+    with pytest.raises(ReaderError, match="no such file"):
+        next(module.read_realsense(tmp_path / "no.bag"))
+    assert main(["live", "realsense"]) == 2
+    assert "no RealSense camera" in capsys.readouterr().err
+    driver = Driver(17)
+    with pytest.raises(ReaderError, match="still plugged in"):
+        list(reader(monkeypatch, driver).read_realsense())
+    assert driver.stopped == 1
+
+
+def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    monkeypatch.delitem(sys.modules, "objectflow.readers.realsense", raising=False)
+    with pytest.raises(MissingExtraError, match=r"objectflow\[realsense\]"):
+        importlib.import_module("objectflow.readers.realsense")
