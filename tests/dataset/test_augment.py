@@ -253,7 +253,16 @@ def test_recoloring_does_as_named() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"flip": 1.5}, {"zoom": 0.9}, {"hue": -0.1}, {"sensors": 0}, {"strength": (2.0, 1.0)}, {"swap": float("nan")}],
+    [
+        {"flip": 1.5},
+        {"zoom": 0.9},
+        {"hue": -0.1},
+        {"sensors": 0},
+        {"kinds": ("lidar",)},
+        {"kinds": ()},
+        {"strength": (2.0, 1.0)},
+        {"swap": float("nan")},
+    ],
 )
 def test_settings_are_checked(bad: dict[str, float]) -> None:
     with pytest.raises(DatasetError, match="augmentation"):

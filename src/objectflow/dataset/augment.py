@@ -11,7 +11,7 @@ from torch import Tensor
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.variations import crop, flip, recolor, swap
 from objectflow.errors import DatasetError
-from objectflow.synth.sensor import ColorSensor, draw_sensor, observe_color, observe_depth
+from objectflow.synth.sensor import SENSORS, ColorSensor, observe_color, observe_depth, scaled
 from objectflow.torch_geometry import back_project
 
 
@@ -38,8 +38,9 @@ class AugmentSettings:
     frame_jitter: float = 0.15
     """How much more each frame's colours change on their own, relative to what the pair shares."""
     depth_sensor: float = 0.9
-    """Share of the groups of pairs whose depth a sensor measures: structured light, time of flight or stereo, drawn
-    with a strength of its own. The rest keep exact depth."""
+    """Share of the groups of pairs whose depth a sensor measures. The rest keep exact depth."""
+    kinds: tuple[str, ...] = ("structured-light", "time-of-flight", "stereo")
+    """Which depth sensors are drawn from, by name. "passive-stereo" is left out: it loses most of plain surfaces."""
     color_sensor: float = 0.9
     """Share of the groups of pairs whose colour has exposure, white balance, blur and noise of a camera."""
     strength: tuple[float, float] = (0.5, 1.5)
@@ -56,6 +57,10 @@ class AugmentSettings:
                 raise DatasetError(f"augmentation setting {name} must be finite and >= 0, not {getattr(self, name)}")
         if not 1 <= self.zoom < float("inf") or self.sensors < 1:
             raise DatasetError(f"augmentation needs zoom >= 1 and sensors >= 1, not {self.zoom} and {self.sensors}")
+        if not self.kinds or not set(self.kinds) <= set(SENSORS):
+            raise DatasetError(
+                f"augmentation setting kinds must name depth sensors of {', '.join(SENSORS)}, not {self.kinds}"
+            )
         if not 0 <= self.strength[0] <= self.strength[1] < float("inf"):
             raise DatasetError(f"augmentation setting strength must be a range from 0 up, not {self.strength}")
 
@@ -140,9 +145,10 @@ def _observed(
     color: Tensor, depth: Tensor, intrinsics: Tensor, settings: AugmentSettings, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
     """Colour and depth of consecutive frames of pairs as one drawn camera has them."""
-    has_depth, has_color = torch.rand(2, generator=generator, device=generator.device).tolist()
-    sensor = draw_sensor(generator, settings.strength)
+    has_depth, has_color, kind, unit = torch.rand(4, generator=generator, device=generator.device).tolist()
     if has_depth < settings.depth_sensor:
+        low, high = settings.strength
+        sensor = scaled(SENSORS[settings.kinds[int(kind * len(settings.kinds))]], low + (high - low) * unit)
         depth = observe_depth(depth, color, intrinsics, sensor, generator)
     if has_color < settings.color_sensor:
         color = observe_color(color, ColorSensor(), generator, images_each=2)
