@@ -51,6 +51,7 @@ class Job:
         device: "auto", "cpu", "cuda" or "cuda:N".
         backbone: torchvision's `resnet50` state dict to start the colour trunk from.
         start: weights of an earlier run to start from.
+        validate_on: the split; "train" shows how well the pairs themselves are learnt by heart.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Job:
     device: str = "auto"
     backbone: Path | None = None
     start: Path | None = None
+    validate_on: str = "val"
 
 
 @dataclass(frozen=True)
@@ -228,9 +230,9 @@ def _open_data(job: Job, process: Process, manifest: Manifest) -> tuple[Batches,
     share = recipe.batch_size // process.world_size
     place: dict[str, Any] = {"size": recipe.size, "rank": process.rank, "world_size": process.world_size}
     train = Batches(open_pairs(job.data, "train"), share, seed=recipe.seed, workers=recipe.workers, **place)
-    if recipe.validation_pairs == 0 or "val" not in manifest.parts:
+    if recipe.validation_pairs == 0 or job.validate_on not in manifest.parts:
         return train, None
-    return train, Batches(open_pairs(job.data, "val"), share, seed=0, shuffle=False, **place)
+    return train, Batches(open_pairs(job.data, job.validate_on), share, seed=0, shuffle=False, **place)
 
 
 def _feed(run: Run) -> Generator[Batch, None, None]:
@@ -247,7 +249,7 @@ def _feed(run: Run) -> Generator[Batch, None, None]:
 
 def _settings(job: Job, process: Process, manifest: Manifest) -> dict[str, Any]:
     """Everything that the weights depend on."""
-    parts = {name: part for name, part in manifest.parts.items() if name in ("train", "val")}
+    parts = {name: part for name, part in manifest.parts.items() if name in ("train", job.validate_on)}
     hashes = {
         name: hashlib.sha256("\n".join(shard.sha256 for shard in part.shards).encode()).hexdigest()
         for name, part in parts.items()

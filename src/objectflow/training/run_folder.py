@@ -93,9 +93,7 @@ def opened(path: Path, settings: Mapping[str, Any], *, resume: bool) -> Iterator
         if not resume:
             last = checkpoints(path / CHECKPOINTS)[-1:]
             done = f" ({last[0].name})" if last else ""
-            raise TrainingError(
-                f"{path} holds this run already{done}: continue it with --resume, or name another --out"
-            )
+            raise TrainingError(f"{path} holds this run already{done}: add --resume, or name another --out")
     try:
         with open(path / SETTINGS) as lock:
             try:

@@ -1,0 +1,203 @@
+"""The loop: what it writes, that it learns, that it names what broke it, and that processes agree."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import training_runs
+from objectflow.dataset.batches import Batches
+from objectflow.dataset.manifest import Manifest
+from objectflow.dataset.shards import open_pairs
+from objectflow.errors import DatasetError, TrainingError
+from objectflow.networks.weights import load_weights
+from objectflow.training.averaged import AveragedWeights
+from objectflow.training.building import build_network, compiled
+from objectflow.training.feeding import on_device
+from objectflow.training.loop import train
+from objectflow.training.parallel import Process
+from objectflow.training.watch import Watch
+from training_runs import NETWORK, PLAIN, RECIPE, job, write_set
+
+ALONE = Process(0, 1, torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("set"))
+
+
+def lines_of(run: Path, kind: str) -> list[dict[str, Any]]:
+    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    return [line for line in lines if line["kind"] == kind]
+
+
+def test_a_run_learns_and_says_what_it_did(data: Path, tmp_path: Path) -> None:
+    recipe = dataclasses.replace(PLAIN, steps=40, validate_every=20, learning_rate=5e-3, ema_decay=0.5)
+    outcome = train(job(data, tmp_path / "run", recipe))
+    losses = [line["losses"]["total"] for line in lines_of(tmp_path / "run", "train")]
+    assert len(losses) == 8
+    assert losses[-1] < 0.95 * losses[0]
+    validations = lines_of(tmp_path / "run", "validation")
+    assert [line["step"] for line in validations] == [20, 40]
+    assert outcome.position.best == min(line["epe_cm"] for line in validations)
+    network, metadata = load_weights(tmp_path / "run" / "weights.safetensors")
+    assert network.settings == recipe.network_settings
+    assert (metadata["variant"], metadata["size"]) == ("sceneflownet-c-vl", [24, 32])
+    assert metadata["metrics"]["epe_cm"] == outcome.position.best
+    assert metadata["data"] == Manifest.read(data).sha256
+    assert metadata["recipe"]["learning_rate"] == 5e-3
+    assert (tmp_path / "run" / "loss_curve.png").stat().st_size > 1000
+
+
+def test_without_a_split_to_validate_on_the_last_weights_are_kept(data: Path, tmp_path: Path) -> None:
+    notes: list[str] = []
+
+    class Notes(Watch):
+        def note(self, text: str) -> None:
+            notes.append(text)
+
+    train(job(data, tmp_path / "run", dataclasses.replace(PLAIN, steps=3, validation_pairs=0)), Notes())
+    assert notes == ["no validation: the last weights are kept, not the best"]
+    last = load_weights(tmp_path / "run" / "checkpoints" / "step-00000003" / "weights.safetensors")[0].state_dict()
+    kept = load_weights(tmp_path / "run" / "weights.safetensors")[0].state_dict()
+    assert all(torch.equal(last[name], kept[name]) for name in last)
+
+
+def test_minutes_end_a_run(data: Path, tmp_path: Path) -> None:
+    rates: list[float] = []
+
+    class Rates(Watch):
+        def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+            rates.append(line["learning_rate"])
+
+    recipe = dataclasses.replace(PLAIN, steps=None, minutes=1e-3, log_every=1, validation_pairs=0, warm_up=0.0)
+    outcome = train(job(data, tmp_path / "run", recipe), Rates())
+    assert outcome.finished
+    assert outcome.position.seconds >= 0.06
+    # The schedule is laid out over the time: the learning rate falls on the way.
+    assert rates == sorted(rates, reverse=True)
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_a_loss_that_is_no_number_names_the_pairs(data: Path, tmp_path: Path, precision: Any) -> None:
+    recipe = dataclasses.replace(
+        PLAIN, learning_rate=1e30, schedule="constant", warm_up=0.0, clip=None, precision=precision, log_every=4
+    )
+    with pytest.raises(TrainingError) as caught:
+        train(job(data, tmp_path / "run", recipe))
+    # The first step's update ruins the weights; the second step's loss shows it, though four are looked at at once.
+    keys = ", ".join(Batches(open_pairs(data), 4, size=None, seed=0).keys[row] for row in rows_of(data, 1))
+    assert str(caught.value).startswith("step 2: ")
+    assert f"the pairs were {keys}: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "run" / "weights.safetensors").exists()
+    assert list((tmp_path / "run" / "checkpoints").iterdir()) == []
+
+
+def rows_of(data: Path, step: int) -> list[int]:
+    return Batches(open_pairs(data), 4, size=None, seed=0).rows(step)
+
+
+def test_bfloat16_trains_like_float32(data: Path, tmp_path: Path) -> None:
+    totals = []
+    for precision in ("fp32", "bf16"):
+        recipe = dataclasses.replace(PLAIN, steps=4, precision=precision, log_every=4, validation_pairs=0)
+        train(job(data, tmp_path / precision, recipe))
+        totals.append(lines_of(tmp_path / precision, "train")[0]["losses"]["total"])
+    assert totals[0] != totals[1]
+    assert totals[1] == pytest.approx(totals[0], rel=0.03)
+
+
+def test_two_processes_train_as_one(data: Path, tmp_path: Path) -> None:
+    together = dataclasses.replace(PLAIN, steps=4, validate_every=2, log_every=1)
+    train(job(data, tmp_path / "one", together))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    script = [sys.executable, training_runs.__file__, "together", str(data), str(tmp_path / "two")]
+    place = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
+    processes = [subprocess.Popen(script, env={**os.environ, **place, "RANK": str(rank)}) for rank in range(2)]
+    assert [process.wait(timeout=120) for process in processes] == [0, 0]
+    one, two = lines_of(tmp_path / "one", "train"), lines_of(tmp_path / "two", "train")
+    for left, right in zip(one, two, strict=True):
+        # The first step's gradient is that of the joint batch; later ones follow only if the steps were the same.
+        assert right["gradient"] == pytest.approx(left["gradient"], rel=1e-4)
+        assert right["losses"] == pytest.approx(left["losses"], rel=1e-4)
+    validations = (lines_of(tmp_path / name, "validation") for name in ("one", "two"))
+    for left, right in zip(*validations, strict=True):
+        assert right["pairs"] == left["pairs"] == 4
+        assert right["losses"] == pytest.approx(left["losses"], rel=1e-4)
+        assert right["epe_cm"] == pytest.approx(left["epe_cm"], rel=1e-3)
+
+
+def test_compilation_that_fails_leaves_the_network_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(network: torch.nn.Module) -> torch.nn.Module:
+        network(*images)  # as far as the running statistics
+        raise RuntimeError("no compiler here\nand no word more")
+
+    recipe, notes = dataclasses.replace(RECIPE, compile=True), list[str]()
+    network = build_network(recipe, ALONE, backbone=None, start=None)
+    images = tuple(torch.rand(2, 3, 24, 32) for _ in range(4))
+    before = {name: value.clone() for name, value in network.state_dict().items()}
+    monkeypatch.setattr(torch, "compile", refuse)
+    assert compiled(network, recipe, images, torch.device("cpu"), notes.append) is network
+    assert notes == ["torch.compile failed, going on without: RuntimeError: no compiler here"]
+    assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
+    assert all(parameter.grad is None for parameter in network.parameters())
+
+
+def test_running_mean_follows_the_weights() -> None:
+    recipe = dataclasses.replace(RECIPE, network=NETWORK)
+    network = build_network(recipe, ALONE, backbone=None, start=None)
+    mean = AveragedWeights(network, 0.6)
+    parameter = next(network.parameters())
+    values, expected = np.random.default_rng(0).normal(size=12), float(parameter.detach().flatten()[0])
+    for n, value in enumerate(values, start=1):
+        with torch.no_grad():
+            parameter.fill_(float(value))
+        mean.update(network)
+        decay = min(0.6, n / (n + 9))
+        expected = decay * expected + (1 - decay) * float(value)
+    assert float(next(mean.network.parameters()).flatten()[0]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_closing_the_feed_closes_the_batches(data: Path) -> None:
+    batches = Batches(open_pairs(data), 2, size=None, seed=0)
+    feed = on_device(batches.iterate(), torch.device("cpu"))
+    assert next(feed).keys == tuple(batches.keys[row] for row in batches.rows(0))
+
+
+def test_a_batch_that_processes_cannot_share(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from objectflow.training import loop
+
+    manifest = Manifest.read(data)
+    with pytest.raises(TrainingError, match="a batch of 4 pairs cannot be shared by 3 processes"):
+        loop._open_data(job(data, tmp_path), Process(0, 3, torch.device("cpu")), manifest)
+
+
+def test_a_row_that_breaks_in_mid_run(tmp_path: Path) -> None:
+    folder = write_set(tmp_path / "set")
+    shard = next(folder.glob("*.parquet"))
+    whole = shard.read_bytes()
+
+    class Break(Watch):
+        def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
+            # Same size, other bytes: as a disk that goes bad under a run.
+            with open(shard, "r+b") as file:
+                file.write(bytes(len(whole) - 4096))
+
+    recipe = dataclasses.replace(PLAIN, log_every=1, steps=6)
+    with pytest.raises(DatasetError, match=r"000000|row"):
+        train(job(folder, tmp_path / "run", recipe), Break())
