@@ -1,0 +1,172 @@
+"""From nothing to released weights: generate, train every variant, evaluate, and put the best into the package.
+
+    python scripts/release_weights.py --out release                         # one GPU: hours
+    python scripts/release_weights.py --out release --recipe cpu --pairs 2000 --val-pairs 128 --test-pairs 200 \
+        --variants c-vl --minutes 90 --device cpu
+
+Each step is a command of `objectflow` that can be run by hand; all of them are printed. Run again after it was
+stopped, it goes on where it was: every step continues its own work and skips what is done.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from objectflow import files
+from objectflow.dataset.manifest import hash_file
+from objectflow.find_weights import packaged_folder
+from objectflow.networks.weights import load_weights, read_header, save_weights
+
+Variant = Literal["s", "c", "c-vl"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Generates data, trains, evaluates and packs the best weights with their card."""
+
+    out: Path
+    """Folder of the data set, the runs and the tables; new, or of an earlier call."""
+    recipe: str = "gpu"
+    """Of `objectflow train`."""
+    variants: tuple[Variant, ...] = ("s", "c", "c-vl")
+    """Which networks to train; the one with the lowest validation error is shipped."""
+    pairs: int = 25_000
+    """Training pairs."""
+    val_pairs: int = 1_000
+    """Validation pairs."""
+    test_pairs: int = 1_000
+    """Test pairs for the tables."""
+    views: int = 1
+    """Cameras a scene: more are cheaper, and more alike."""
+    preset: str = "paper"
+    """Of `objectflow generate`."""
+    samples: Literal[1, 4] = 4
+    """Colour samples a pixel of generated images."""
+    passes: float = 12.0
+    """How often each training pair is used."""
+    minutes: float | None = None
+    """Stop each training after so much time instead."""
+    workers: int = 2
+    """Processes that generate data, and that read it in training."""
+    device: str = "auto"
+    """Where pictures are rendered and networks trained: auto, cpu or cuda."""
+    classical: tuple[str, ...] = ("zero", "dense-flow", "consensus")
+    """Methods without weights for the tables."""
+    ship: bool = True
+    """Write the best weights into the package; otherwise only say which they are."""
+
+
+def main(settings: Settings) -> None:
+    """Generate, train, evaluate, pack."""
+    import torch
+
+    device = settings.device
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    data = settings.out / "data"
+    for split, count in (("train", settings.pairs), ("val", settings.val_pairs), ("test", settings.test_pairs)):
+        views = settings.views if split == "train" else 1
+        run(
+            "generate", "--out", data, "--preset", settings.preset, "--split", split, "--pairs", count,
+            "--views", views, "--samples", settings.samples, "--workers", settings.workers, "--device", device,
+        )  # fmt: skip
+    for variant in settings.variants:
+        length = ["--passes", settings.passes] if settings.minutes is None else ["--minutes", settings.minutes]
+        run(
+            "train", "--recipe", settings.recipe, "--variant", variant, "--data", data, "--device", device,
+            "--out", settings.out / f"train-{variant}", "--workers", settings.workers, *length, "--resume",
+        )  # fmt: skip
+    run("evaluate", "--data", data, "--methods", *methods(settings, device), "--out", settings.out / "tables")
+    best = min(settings.variants, key=lambda variant: validation_error(weights_of(settings, variant)))
+    print(f"best by validation: {best}")
+    if settings.ship:
+        pack(weights_of(settings, best), (settings.out / "tables" / "tables.md").read_text(encoding="utf-8"))
+
+
+def run(*words: object) -> None:
+    """Run a verb of objectflow and stop with its exit code if it fails."""
+    command = [sys.executable, "-m", "objectflow", *map(str, words)]
+    print(f"$ {shlex.join(['objectflow', *command[3:]])}", flush=True)
+    done = subprocess.run(command, check=False)
+    if done.returncode:
+        raise SystemExit(done.returncode)
+
+
+def weights_of(settings: Settings, variant: Variant) -> Path:
+    """What training a variant writes."""
+    return settings.out / f"train-{variant}" / "weights.safetensors"
+
+
+def methods(settings: Settings, device: str) -> list[str]:
+    """Every row of the tables: the classical ones, and each network with its pixels, averaged and refined."""
+    rows = list(settings.classical)
+    for variant in settings.variants:
+        for rigid in ("none", "average", "refine"):
+            options = f"weights={weights_of(settings, variant)},rigid={rigid},device={device},camera=static"
+            rows.append(f"sceneflownet-{variant}+{rigid}=sceneflownet-{variant}:{options}")
+    return rows
+
+
+def validation_error(weights: Path) -> float:
+    """Masked end-point error on the validation split, centimetres."""
+    metrics: dict[str, Any] = read_header(weights)[1].get("metrics") or {}
+    return float(metrics.get("epe_cm", float("inf")))
+
+
+def pack(weights: Path, tables: str) -> None:
+    """Write the weights in half precision into the package, with their card and their hash."""
+    network, about = load_weights(weights)
+    name = about["variant"]
+    target = packaged_folder() / f"{name}.safetensors"
+    target.parent.mkdir(exist_ok=True)
+    for old in target.parent.glob("*.safetensors"):
+        old.unlink()
+        old.with_suffix(".md").unlink(missing_ok=True)
+    save_weights(target, network, about, half=True)
+    files.write_text(
+        target.with_suffix(".md"), card(about, target, sum(one.numel() for one in network.parameters()), tables)
+    )
+    print(f"written: {target} and its card")
+
+
+def card(about: dict[str, Any], target: Path, parameters: int, tables: str) -> str:
+    """What somebody who uses the weights should know, all of it from the file itself and the tables."""
+    recipe = about["recipe"]
+    height, width = about["size"]
+    fields = ", ".join(f"`{key}` {value}" for key, value in recipe.items() if not isinstance(value, dict))
+    return f"""# {about["variant"]}
+
+| | |
+|---|---|
+| file | `{target.name}`, {target.stat().st_size / 2**20:.1f} MiB, float16 |
+| sha256 | `{hash_file(target)}` |
+| parameters | {parameters:,} |
+| trained at | {width}x{height}; other sizes are brought to as many pixels |
+| recipe | `{about["recipe_name"]}`, stopped at step {about["step"]:,} after {about["seconds"] / 60:.0f} minutes |
+| data | simulated pairs, sha256 of the data set `{about["data"]}` |
+| validation | {json.dumps(about["metrics"])} |
+
+Recipe: {fields}.
+
+## Measured
+
+{tables.strip()}
+
+## Limits
+
+Trained on simulated scenes alone: everyday objects that fall close together onto a floor, seen from 0.2 to 0.8 m by
+a camera that stands still. Everything in such a scene moves; on a table where most things stand still, `consensus` is
+the safer choice. Thin, transparent and mirroring things were never seen.
+"""
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
