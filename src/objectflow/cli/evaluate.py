@@ -1,7 +1,8 @@
-"""`objectflow evaluate`: methods on a set with truth: the paper's two tables."""
+"""`objectflow evaluate`: methods on a set with truth: tables, and a report to look at."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from objectflow.errors import DatasetError, MethodError, ResultError
 from objectflow.evaluation.methods import parse_methods
 from objectflow.evaluation.predict import FOLDER, Progress, predict
 from objectflow.evaluation.results import Evaluation
-from objectflow.evaluation.score import score
+from objectflow.evaluation.score import CachedPairs, score
 from objectflow.evaluation.sources import PairSet, SequenceUse, open_set
 from objectflow.evaluation.table_text import print_tables, to_csv, to_json, to_markdown
 from objectflow.evaluation.tables import Tables, make_tables
@@ -37,8 +38,8 @@ class Evaluate:
     """Run methods on pairs with truth and print the paper's two tables with their rows beside the paper's own.
 
     Predictions are cached in predictions/<method>/<pair>.npz and scored from there: the same command continues a run
-    that was cut off, and further methods or pairs may be added to it. Writes tables.md, tables.csv, tables.json and
-    results.json.
+    that was cut off, and further methods or pairs may be added to it. Writes tables.md, tables.csv, tables.json,
+    results.json and report.html.
     """
 
     data: Annotated[str, option("DIR|tiny|real:DIR")]
@@ -75,6 +76,9 @@ class Evaluate:
     ray: Annotated[str | None, option("ADDRESS", "this machine")] = None
     """Address of a Ray cluster ("auto", "host:6379"), or "local"; --workers is then the number of actors."""
 
+    report: bool = True
+    """Write report.html."""
+
     def run(self) -> None:
         """Predict what is missing, score, print, write."""
         specs = parse_methods(self.methods, camera=self.camera)
@@ -100,6 +104,9 @@ class Evaluate:
         tables = make_tables(evaluation)
         print_tables(tables, Console(highlight=False))
         _write(out, evaluation, tables)
+        if self.report and importlib.util.find_spec("objectflow.view.report"):
+            report = importlib.import_module("objectflow.view.report")
+            report.write_report(out / "report.html", evaluation, CachedPairs(pairs, specs, out))
         print(f"written to {out}")
 
     def _sequences(self) -> SequenceUse:

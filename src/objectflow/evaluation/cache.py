@@ -114,7 +114,7 @@ class MethodCache:
         if not self.folder.is_dir() or not any(self.folder.iterdir()):
             with files.new_folder(self.folder) as folder:
                 files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-        self._check(settings)
+        self.check(settings)
         try:
             with open(self.folder / SETTINGS) as lock:
                 try:
@@ -129,6 +129,35 @@ class MethodCache:
                 yield
         except OSError as error:
             raise StorageError(f"cannot write {self.folder}: {error.strerror or error}") from error
+
+    def check(self, settings: Mapping[str, Any]) -> None:
+        """Check that predictions with these settings may be added to what is there, if anything is.
+
+        Raises:
+            ResultError: other settings, or a folder of something else.
+        """
+        path = self.folder / SETTINGS
+        if not self.folder.is_dir() or not any(self.folder.iterdir()):
+            return
+        try:
+            earlier = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ResultError(f"{self.folder} exists and holds no predictions: name another output folder") from None
+        except (OSError, ValueError) as error:
+            raise ResultError(f"{path}: cannot be read: {error}") from error
+        if not isinstance(earlier, dict):
+            raise ResultError(f"{path}: not the settings of predictions")
+        if earlier.get("sha256") != settings.get("sha256"):
+            raise ResultError(
+                f"{self.folder} holds predictions of another data set (sha256 {str(earlier.get('sha256'))[:12]}, "
+                f"this one's is {str(settings.get('sha256'))[:12]}): name another output folder"
+            )
+        for name in {**settings, **earlier}:
+            if earlier.get(name) != settings.get(name):
+                raise ResultError(
+                    f"{self.folder} was made with {name} = {_short(earlier.get(name))}, now it is "
+                    f"{_short(settings.get(name))}: name another output folder"
+                )
 
     def read(self, key: str) -> Prediction | None:
         """The prediction of a pair; None where there is none that is whole."""
@@ -170,28 +199,6 @@ class MethodCache:
         with suppress(FileNotFoundError):
             self._path(key).unlink()
         files.write_text(self._failure_path(key), json.dumps({"key": key, "reason": reason}) + "\n")
-
-    def _check(self, settings: Mapping[str, Any]) -> None:
-        path = self.folder / SETTINGS
-        try:
-            earlier = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise ResultError(f"{self.folder} exists and holds no predictions: name another output folder") from None
-        except (OSError, ValueError) as error:
-            raise ResultError(f"{path}: cannot be read: {error}") from error
-        if not isinstance(earlier, dict):
-            raise ResultError(f"{path}: not the settings of predictions")
-        for name in {**settings, **earlier}:
-            if name == "sha256" and earlier.get(name) != settings.get(name):
-                raise ResultError(
-                    f"{self.folder} holds predictions of another data set (sha256 {str(earlier.get(name))[:12]}, "
-                    f"this one's is {str(settings.get(name))[:12]}): name another output folder"
-                )
-            if earlier.get(name) != settings.get(name):
-                raise ResultError(
-                    f"{self.folder} was made with {name} = {_short(earlier.get(name))}, now it is "
-                    f"{_short(settings.get(name))}: name another output folder"
-                )
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{file_name(key)}.npz"

@@ -19,7 +19,7 @@ from objectflow.evaluation.results import EvaluationPair
 from objectflow.evaluation.runtime import machine_name
 from objectflow.evaluation.sources import PairSet, Window
 from objectflow.evaluation.truth import PairTruth
-from objectflow.evaluation.workers import Workers
+from objectflow.evaluation.workers import Workers, check_workers
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 
@@ -83,14 +83,18 @@ def predict(
         report: told after every row.
 
     Raises:
+        MethodError: fewer than one worker.
         ResultError: cached predictions were made with other settings or from other data.
         DatasetError: a pair that cannot be read, or a worker that died.
         StorageError: the disk refused.
     """
+    check_workers(workers)
+    caches = [MethodCache(out / FOLDER / spec.folder) for spec in methods]
+    for spec, cache in zip(methods, caches, strict=True):  # before hours of work for the first of them
+        cache.check(settings_of(spec, pairs))
     pool: Workers | None = None
     try:
-        for number, spec in enumerate(methods):
-            cache = MethodCache(out / FOLDER / spec.folder)
+        for number, (spec, cache) in enumerate(zip(methods, caches, strict=True)):
             with cache.claim(settings_of(spec, pairs)):
                 todo = [key for key in keys if not cache.has(key)]
                 done, failed = len(keys) - len(todo), 0

@@ -26,6 +26,7 @@ def print_tables(tables: Tables, console: Console) -> None:
     wide = console.width >= WIDE
     for table in tables.tables:
         if table.main:
+            console.print(table.title, style="italic", markup=False, highlight=False)
             console.print(_rich(table, intervals=wide))
             console.print()
     for note in tables.notes:
@@ -75,7 +76,7 @@ def to_json(tables: Tables) -> str:
 
 
 def _rich(table: Table, *, intervals: bool) -> RichTable:
-    drawn = RichTable(title=table.title, title_justify="left", box=None, pad_edge=False, header_style="bold")
+    drawn = RichTable(box=None, pad_edge=False, header_style="bold")
     drawn.add_column("method", no_wrap=True)
     for column in table.columns:
         drawn.add_column(column.heading, justify="right")

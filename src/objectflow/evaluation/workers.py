@@ -27,8 +27,7 @@ class Workers:
     """
 
     def __init__(self, factory: Callable[[], Callable[[Any], Any]], count: int = 1, ray: str | None = None) -> None:
-        if count < 1:
-            raise MethodError(f"--workers must be at least 1, not {count}")
+        check_workers(count)
         self._pool = _make_pool(cast(Any, factory), count, ray)
 
     def run(self, jobs: Iterable[Any]) -> Iterator[Any]:
@@ -38,6 +37,16 @@ class Workers:
     def close(self) -> None:
         """End all workers."""
         self._pool.close()
+
+
+def check_workers(count: int) -> None:
+    """Check the number of workers.
+
+    Raises:
+        MethodError: fewer than one.
+    """
+    if count < 1:
+        raise MethodError(f"--workers must be at least 1, not {count}")
 
 
 def _make_pool(factory: Any, count: int, ray: str | None) -> Pool:
