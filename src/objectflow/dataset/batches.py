@@ -64,7 +64,7 @@ class Batches:
     the rows from place `s * batch_size * world_size` on, and each rank takes its own part of it, in order: one process
     with the joint batch's size sees the same rows. Nothing else counts, so a run resumes by its step's number.
 
-    A row costs some 8 ms of one core to read and decode at 320x240, and a tenth of a millisecond once it is kept.
+    A row that is kept costs a fraction of what reading and decoding it cost (`benchmarks/feeding.py` prints both).
     """
 
     def __init__(
