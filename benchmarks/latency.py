@@ -2,6 +2,10 @@
 
 The pairs are the tests' analytic scenes, 1-6 moving objects each, at each size. Every method runs in a process of its
 own, so that its peak memory is its own.
+
+Networks are timed at the paper's 240x320 in a table of their own, part by part. Where no weights are released they are
+random, at the paper's width: the time does not depend on the values, but for what is grouped. So the grouping and the
+rest get maps that say the truth with some noise, whatever the network says.
 """
 
 from __future__ import annotations
@@ -13,8 +17,12 @@ import platform
 import resource
 import statistics
 import sys
+import tempfile
 import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import TypeVar
 
 import tyro
 from rich.console import Console
@@ -23,6 +31,7 @@ from rich.table import Table
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 REFERENCE = "dense-flow"
+T = TypeVar("T")
 
 
 @dataclasses.dataclass
@@ -37,11 +46,17 @@ class Settings:
     """Scenes for each size."""
     repeats: int = 2
     """Runs of each scene; the faster one counts."""
+    networks: tuple[str, ...] = ("sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl")
+    """Learned methods by name."""
+    device: str = "cpu"
+    """Of the networks."""
+    threads: int = 2
+    """Of torch on the CPU, for the networks."""
+    noise: float = 0.004
+    """Metres, of each number of the maps that are grouped."""
 
 
-def measure(
-    method: str, width: int, pairs: int, repeats: int, queue: multiprocessing.Queue[tuple[float, ...]]
-) -> None:
+def measure(method: str, width: int, pairs: int, repeats: int) -> tuple[float, ...]:
     import analytic
     import objectflow
 
@@ -58,22 +73,143 @@ def measure(
             runs.append(time.perf_counter() - start)
         seconds.append(min(runs))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    queue.put((statistics.median(seconds), max(seconds), max(before, peak) / 1024))
+    return statistics.median(seconds), max(seconds), max(before, peak) / 1024
+
+
+@dataclasses.dataclass
+class NetworkTimes:
+    """Medians over the scenes, seconds."""
+
+    weights: str
+    network: float
+    grouping: float
+    average: float
+    whole: float
+    cpu: float
+    refine: float
+    peak_mib: float
+
+
+def measure_network(name: str, settings: Settings) -> NetworkTimes:
+    import torch
+
+    import analytic
+    import objectflow
+    from objectflow import find_weights, geometry, instances, refining
+    from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet
+    from objectflow.networks.weights import save_weights
+    from true_maps import Truth
+
+    class ThenTruth(torch.nn.Module):
+        """Works as the network does, and then says something else."""
+
+        def __init__(self, network: torch.nn.Module, maps: DenseMotion) -> None:
+            super().__init__()
+            self.network, self.maps = network, maps
+
+        def forward(self, *images: torch.Tensor) -> DenseMotion:
+            self.network(*images)
+            return self.maps
+
+    torch.set_num_threads(settings.threads)
+    released = any(path.stem == name for path in find_weights.packaged_weights())
+    with tempfile.TemporaryDirectory() as folder:
+        random = Path(folder) / "random.safetensors"
+        if not released:
+            network = SceneFlowNet(NetworkSettings(correlation=name != "sceneflownet-s"))
+            save_weights(random, network, {"variant": name, "size": [240, 320]})
+        estimator = objectflow.load(name, weights=None if released else random, device=settings.device)
+    network = estimator.network
+    generator = torch.Generator().manual_seed(0)
+    rows = []
+    for seed in range(settings.pairs):
+        scene = analytic.make_scene(1000 + seed, width=320, height=240)
+        prev, curr = scene.prev, scene.curr
+        object.__setattr__(estimator, "network", Truth(scene, scene.labels))
+        true = estimator.predict(prev, curr)
+        noisy = {
+            field: getattr(true, field) + settings.noise * torch.randn(true.center.shape, generator=generator)
+            for field in ("center", "translation", "rotation")
+        }
+        maps = DenseMotion(*(one.to(settings.device) for one in true._replace(**noisy)))
+        object.__setattr__(estimator, "network", network)
+        points = geometry.back_project(curr.depth, curr.camera)
+        parts = [
+            fastest(lambda: [one.cpu() for one in estimator.predict(prev, curr)], settings.repeats),  # noqa: B023
+            fastest(lambda: instances.label_pixels(maps), settings.repeats),  # noqa: B023
+        ]
+        labels = instances.label_pixels(maps)
+        objects = instances.average_objects(maps, labels, curr.valid)
+
+        def average() -> None:
+            instances.rigid_flow(instances.average_objects(maps, labels, curr.valid), labels, points)  # noqa: B023
+
+        parts.append(fastest(average, settings.repeats))
+        object.__setattr__(estimator, "network", ThenTruth(network, maps))
+        parts.append(fastest(lambda: estimator(prev, curr), settings.repeats))  # noqa: B023
+        parts.append(fastest(lambda: estimator(prev, curr), settings.repeats, time.process_time))  # noqa: B023
+        parts.append(
+            fastest(lambda: refining.refine_objects(prev, curr, labels, objects), settings.repeats)  # noqa: B023
+        )
+        rows.append(parts)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    medians = [statistics.median(column) for column in zip(*rows, strict=True)]
+    return NetworkTimes("released" if released else "random", *medians, peak)
+
+
+def fastest(work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
+    work()
+    seconds = []
+    for _ in range(repeats):
+        start = clock()
+        work()
+        seconds.append(clock() - start)
+    return min(seconds)
+
+
+def alone(work: Callable[..., T], *arguments: object) -> T:
+    """What the work returns in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(work, *arguments).result()
+
+
+def time_networks(settings: Settings) -> None:
+    table = Table(title=f"networks at 320x240, {settings.device}, {settings.threads} threads; seconds a pair")
+    columns = (
+        "method",
+        "weights",
+        "network",
+        "grouping",
+        "average, flow",
+        "whole",
+        "whole, CPU",
+        "refine",
+        "peak MiB",
+    )
+    for column in columns:
+        table.add_column(column, justify="left" if column in ("method", "weights") else "right")
+    for name in settings.networks:
+        times = alone(measure_network, name, settings)
+        parts = (times.network, times.grouping, times.average, times.whole, times.cpu, times.refine)
+        table.add_row(name, times.weights, *(f"{value:.3f}" for value in parts), f"{times.peak_mib:.0f}")
+    Console(width=110).print(table)
 
 
 def main(settings: Settings) -> None:
-    context = multiprocessing.get_context("spawn")
+    if settings.methods:
+        time_methods(settings)
+    if settings.networks:
+        time_networks(settings)
+
+
+def time_methods(settings: Settings) -> None:
     table = Table(title=f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}")
     for column in ("method", "size", "median s", "slowest s", f"times {REFERENCE}", "peak MiB"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for width in settings.sizes:
         rows = {}
         for method in dict.fromkeys((REFERENCE, *settings.methods)):
-            queue: multiprocessing.Queue[tuple[float, ...]] = context.Queue()
-            process = context.Process(target=measure, args=(method, width, settings.pairs, settings.repeats, queue))
-            process.start()
-            rows[method] = queue.get()
-            process.join()
+            rows[method] = alone(measure, method, width, settings.pairs, settings.repeats)
         for method, (median, slowest, peak) in rows.items():
             ratio = median / rows[REFERENCE][0]
             size = f"{width}x{width * 3 // 4}"

@@ -13,18 +13,16 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
 
 import analytic
 import objectflow
 from objectflow import RgbdFrame, find_weights, geometry
-from objectflow.dataset.targets import ObjectTable, make_targets
 from objectflow.errors import MethodError, MissingExtraError
 from objectflow.instances import dense_to_motion, nearest
 from objectflow.learned import SceneFlowEstimator
 from objectflow.motion import SceneMotion
-from objectflow.networks import DenseMotion
 from small_networks import TINY, save
+from true_maps import Truth
 
 NAME = "sceneflownet-c-vl"
 
@@ -41,37 +39,6 @@ def scene(width: int = 160, height: int = 120) -> analytic.AnalyticPair:
     depth[height // 3 : height // 2, width // 2 : width // 2 + 9] = 0
     depth[::11, ::7] = 0
     return dataclasses.replace(pair, curr=dataclasses.replace(pair.curr, depth=depth))
-
-
-class Truth(nn.Module):
-    """A network that knows the answer: maps of a scene's objects on given labels."""
-
-    def __init__(self, pair: analytic.AnalyticPair, labels: NDArray[np.int32]) -> None:
-        super().__init__()
-        self.nothing = nn.Parameter(torch.zeros(1))
-        self.labels = torch.from_numpy(labels)[None]
-        ids = sorted(pair.prev_T_curr)
-        X = np.stack([pair.centers[k] for k in ids])
-        motions = np.stack([pair.prev_T_curr[k] for k in ids])
-        T = np.einsum("kij,kj->ki", motions[:, :3, :3], X) + motions[:, :3, 3] - X
-        Q = geometry.so3_log(motions[:, :3, :3])
-        X_, T_, Q_ = (torch.from_numpy(x).float()[None] for x in (X, T, Q))
-        self.table = ObjectTable(torch.tensor([ids]), X_, T_, Q_, torch.ones(1, len(ids), dtype=torch.bool))
-
-    def forward(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> DenseMotion:
-        assert prev_color.shape == prev_points.shape == curr_color.shape == curr_points.shape
-        assert 0 <= float(curr_color.min()) <= float(curr_color.max()) <= 1
-        assert curr_points.shape[2:] == self.labels.shape[1:]
-        truth = make_targets(self.table, self.labels, curr_points)
-        mask, eta = truth.mask.float()[:, None], truth.eta.float()[:, None]
-        return DenseMotion(
-            rotation=truth.rotation,
-            translation=truth.translation,
-            center=truth.center,
-            mask=torch.cat([3 - 6 * mask, 6 * mask - 3], dim=1),
-            centrality=torch.cat([1 - eta, eta], dim=1),
-            radius=truth.radius,
-        )
 
 
 def truthful(weights: Path, pair: analytic.AnalyticPair, labels: NDArray[np.int32], **options: Any) -> Any:
@@ -193,6 +160,35 @@ def test_an_object_without_any_depth_is_left_out(weights: Path) -> None:
     assert len(motion.objects) == len(np.unique(pair.labels[pair.labels > 1]))
     assert not motion.labels[pair.labels == 1].any()
     assert [obj.id for obj in motion.objects] == list(range(1, len(motion.objects) + 1))
+
+
+@pytest.mark.parametrize(("metadata", "count"), [({}, 1), ({"grouping": {"rotation_weight": 0.1}}, 2)])
+def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
+    tmp_path: Path, metadata: dict[str, Any], count: int
+) -> None:
+    """The paper's discussion: a lid and its jar share X and T; only one of them turns."""
+    pair = scene()
+    labels = np.zeros_like(pair.labels)
+    labels[20:60, 20:60], labels[20:60, 60:100] = 1, 2
+    X, T, turn = pair.centers[1], np.array([0.0, 0.02, 0.03]), np.array([0.0, 0.8, 0.0])
+    motions = {
+        k: geometry.make_transform(R := geometry.so3_exp(q), T + X - R @ X) for k, q in ((1, 0 * turn), (2, turn))
+    }
+    made = dataclasses.replace(pair, labels=labels, centers={1: X, 2: X}, prev_T_curr=motions)
+    truth = Truth(made, labels)
+    estimator: Any = objectflow.load(NAME, weights=save(tmp_path / "w.safetensors", **metadata))
+
+    def network(*images: torch.Tensor) -> Any:
+        maps = truth(*images)
+        return maps._replace(radius=torch.full_like(maps.radius, 0.03))
+
+    object.__setattr__(
+        estimator, "predict", lambda prev, curr: network(*estimator._inputs(prev), *estimator._inputs(curr))
+    )
+    motion = estimator(pair.prev, pair.curr)
+    assert len(motion.objects) == count
+    if count == 2:
+        check_motions(motion, made, agree(motion.labels, labels), 1e-5)
 
 
 def test_nearest_is_the_nearest_centre() -> None:
