@@ -1,0 +1,94 @@
+"""What a moving camera costs: `python benchmarks/moving_camera.py`.
+
+The tests' analytic scenes, each with a still camera and again with the camera of the previous frame moved by 1-5
+degrees and 1-5 cm. The current frame, and so the true motion of the objects in the world, is the same in both. Errors
+are those of the masked scene flow, on the objects that moved.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+import objectflow
+from objectflow import geometry
+from objectflow.moving_camera import MovingCamera, find_camera_motion
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import analytic
+
+Array = NDArray[np.float64]
+
+
+@dataclasses.dataclass
+class Settings:
+    """Compares methods before a still and before a moving camera."""
+
+    methods: tuple[str, ...] = ("dense-flow", "pd-flow", "consensus")
+    """Methods by name."""
+    scenes: int = 12
+    """How many."""
+    first_seed: int = 500
+    """Seed of the first scene."""
+
+
+def main(settings: Settings) -> None:
+    """Render, estimate, print."""
+    seeds = range(settings.first_seed, settings.first_seed + settings.scenes)
+    motions = [draw_motion(seed) for seed in seeds]
+    still = [analytic.make_scene(seed) for seed in seeds]
+    moved = [analytic.make_scene(seed, camera_motion=motion) for seed, motion in zip(seeds, motions, strict=True)]
+    table = Table(title=f"{settings.scenes} analytic scenes, masked EPE in cm")
+    for column in ("method", "still camera", "moving, as it is", "moving, taken out", "times still"):
+        table.add_column(column, justify="left" if column == "method" else "right")
+    for name in settings.methods:
+        method = objectflow.load(name, camera="static")
+        errors = [
+            np.mean([error(estimator(pair.prev, pair.curr).scene_flow, pair) for pair in pairs])
+            for estimator, pairs in (
+                (method, still),
+                (method, moved),
+                (MovingCamera(method, camera="moving"), moved),
+            )
+        ]
+        table.add_row(name, *(f"{100 * value:.2f}" for value in errors), f"{errors[2] / errors[0]:.2f}")
+    console = Console(width=110)
+    console.print(table)
+    shift, turn = zip(*(camera_error(pair, motion) for pair, motion in zip(moved, motions, strict=True)), strict=True)
+    console.print(f"camera motion: median error {1000 * np.median(shift):.2f} mm, {np.median(turn):.3f} deg")
+
+
+def draw_motion(seed: int) -> Array:
+    """A camera motion of 1-5 degrees and 1-5 cm in any direction."""
+    rng = np.random.default_rng(seed)
+    axis, way = rng.normal(size=3), rng.normal(size=3)
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(np.radians(rng.uniform(1, 5)) * axis / np.linalg.norm(axis)).as_matrix()
+    out[:3, 3] = rng.uniform(0.01, 0.05) * way / np.linalg.norm(way)
+    return out
+
+
+def error(flow: NDArray[np.float32], pair: analytic.AnalyticPair) -> float:
+    """Mean error in metres on the objects that moved."""
+    mask = np.isin(pair.labels, sorted(pair.moving)) & np.isfinite(flow[..., 0])
+    return float(np.linalg.norm(flow[mask] - pair.scene_flow[mask], axis=-1).mean())
+
+
+def camera_error(pair: analytic.AnalyticPair, motion: Array) -> tuple[float, float]:
+    """Metres and degrees between the camera's motion as found and as it was."""
+    found = find_camera_motion(pair.prev, pair.curr, camera="moving")
+    off = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
+    return float(np.linalg.norm(off[:3, 3])), float(np.degrees(geometry.rotation_angle(off[:3, :3])))
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
