@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 from rich.console import Console
@@ -118,7 +118,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         if not released:
             network = SceneFlowNet(NetworkSettings(correlation=name != "sceneflownet-s"))
             save_weights(random, network, {"variant": name, "size": [240, 320]})
-        estimator = objectflow.load(name, weights=None if released else random, device=settings.device)
+        estimator: Any = objectflow.load(name, weights=None if released else random, device=settings.device)
     network = estimator.network
     generator = torch.Generator().manual_seed(0)
     rows = []
@@ -153,8 +153,8 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         )
         rows.append(parts)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    medians = [statistics.median(column) for column in zip(*rows, strict=True)]
-    return NetworkTimes("released" if released else "random", *medians, peak)
+    columns = [*(statistics.median(column) for column in zip(*rows, strict=True)), peak]
+    return NetworkTimes("released" if released else "random", *columns)
 
 
 def fastest(work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
