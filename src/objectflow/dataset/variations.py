@@ -91,16 +91,20 @@ def crop(batch: Batch, zoom: Tensor, place: Tensor) -> Batch:
         grid = torch.stack([(2 * u + 1) / width - 1, (2 * v + 1) / height - 1], -1)
         moved = F.grid_sample(color, grid, mode="bilinear", padding_mode="border", align_corners=False)
         images[name] = moved.round().to(torch.uint8)
-    dx, dy = u - torch.arange(width, device=u.device), v - torch.arange(height, device=v.device)[:, None]
+    column, row = u.round().clamp(0, width - 1), v.round().clamp(0, height - 1)
+    nearest = (row * width + column).long().flatten(1)
+
+    def at(values: Tensor) -> Tensor:
+        return values.flatten(1).gather(1, nearest).view(size)
+
     for name in ("prev_depth", "curr_depth"):
         inverse = sensor_maps.inverse_depth(getattr(batch, name))
         slope_x, slope_y, _ = sensor_maps.slopes(inverse)
-        images[name] = sensor_maps.depth_of(sensor_maps.displaced(inverse, slope_x, slope_y, dx, dy))
-    zero = torch.zeros_like(dx)
+        known = at(inverse)
+        moved = known + at(slope_x) * (u - column) + at(slope_y) * (v - row)
+        images[name] = sensor_maps.depth_of(torch.where(known > 0, moved, 0.0))
     for name in ("prev_labels", "curr_labels"):
-        labels = getattr(batch, name)
-        # Labels are whole numbers, which float32 holds; slope 0 carries them nowhere.
-        images[name] = sensor_maps.displaced(labels.float(), zero, zero, dx, dy).to(labels.dtype)
+        images[name] = at(getattr(batch, name))
     focal, center = batch.intrinsics[:, :2], batch.intrinsics[:, 2:]
     intrinsics = torch.cat([zoom * focal, zoom * (center + 0.5 - corner) - 0.5], 1)
     table = _still_seen(batch.table, images["prev_labels"], images["curr_labels"])
