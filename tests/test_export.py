@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,18 +22,21 @@ onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
 
 
-def network(correlation: bool = True) -> SceneFlowNet:
+def network(**changes: Any) -> SceneFlowNet:
     """Every parameter alive, so that every layer counts."""
-    made = SceneFlowNet(dataclasses.replace(TINY, correlation=correlation), generator=torch.Generator().manual_seed(3))
+    made = SceneFlowNet(dataclasses.replace(TINY, **changes), generator=torch.Generator().manual_seed(3))
     for parameter in made.parameters():
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
     return made
 
 
-@pytest.mark.parametrize(("correlation", "size"), [(True, (40, 56)), (True, (37, 50)), (False, (40, 56))])
-def test_onnxruntime_says_what_torch_says(tmp_path: Path, correlation: bool, size: tuple[int, int]) -> None:
-    path, made = tmp_path / "n.onnx", network(correlation).train()
+@pytest.mark.parametrize(
+    ("changes", "size"),
+    [({}, (40, 56)), ({"missing": "masked", "correlation_mean": True}, (37, 50)), ({"correlation": False}, (40, 56))],
+)
+def test_onnxruntime_says_what_torch_says(tmp_path: Path, changes: dict[str, Any], size: tuple[int, int]) -> None:
+    path, made = tmp_path / "n.onnx", network(**changes).train()
     differences = export.export_onnx(path, made, size, {"variant": "one"})
     assert made.training
     assert list(differences) == list(DenseMotion._fields)

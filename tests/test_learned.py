@@ -202,8 +202,9 @@ def test_nearest_is_the_nearest_centre() -> None:
 # --- a network with random weights ---
 
 
-def test_the_same_frames_give_the_same_result_and_change_nothing(weights: Path) -> None:
-    pair = scene(100, 75)
+def test_the_same_frames_give_the_same_result_and_change_nothing(tmp_path: Path) -> None:
+    """At a size that the network pads."""
+    pair, weights = scene(100, 75), save(tmp_path / "w.safetensors", size=[75, 101])
     kept = pair.prev.color.copy(), pair.curr.depth.copy()
     state = torch.get_rng_state()
     first, second = (objectflow.load(NAME, weights=weights)(pair.prev, pair.curr) for _ in range(2))
