@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import importlib.metadata
 import sys
 import weakref
 from typing import Any
@@ -317,6 +318,20 @@ def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
         assert watch() is None
     finally:
         gc.enable()
+
+
+def test_no_versions_are_looked_up_from_the_second_scene_on(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """mujoco-warp asks for MuJoCo's version again and again, and each answer reads a file."""
+    looked_up: list[str] = []
+    version = importlib.metadata.version
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: (looked_up.append(name), version(name))[1])
+    camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
+    renderer.render(cube_scene(0.05), poses((0, 0, 0.05)), camera)
+    looked_up.clear()
+    renderer.render(cube_scene(0.07), poses((0, 0, 0.07)), camera)
+    assert looked_up == []
 
 
 def test_bad_input(renderer: Renderer) -> None:
