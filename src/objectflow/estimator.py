@@ -59,6 +59,11 @@ METHODS: dict[str, MethodEntry] = {
         "objectflow.baselines.sr_flow.estimator",
         "SRFlow",
     ),
+    "homc": MethodEntry(
+        "Keuper 2017: motion segments of point tracks by higher-order lifted multicuts; colour only, labels only",
+        "objectflow.baselines.homc.estimator",
+        "Homc",
+    ),
     "sceneflownet-c-vl": MethodEntry(
         "the paper's network with correlation and all losses; needs weights",
         "objectflow.learned",

@@ -1,0 +1,100 @@
+"""HOMC on generated sequences, sparse and dense: `python benchmarks/homc_sequences.py --data DIR --split val`.
+
+Frame 80 of each sequence is segmented, from all eight frames. Sparse labels are scored where they lie, with the share
+of pixels that have one; dense ones everywhere. Each value of `--join` (t0) makes two rows: this is how its default was
+chosen, on a validation split.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from pathlib import Path
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from objectflow.baselines.homc.densify import densify
+from objectflow.baselines.homc.estimator import Homc, Segmentation, lab_image, pixel_index
+from objectflow.dataset.schema import SequenceRow
+from objectflow.dataset.shards import open_sequences
+from objectflow.evaluation.segmentation_metrics import SegmentationScore, score_segmentation
+
+PREV_FRAME, CURR_FRAME = 20, 80
+
+
+@dataclasses.dataclass
+class Settings:
+    """Scores HOMC on sequences."""
+
+    data: Path
+    """Folder of a generated data set with sequences."""
+    split: str = "val"
+    """Which of its splits."""
+    limit: int = 30
+    """At most so many sequences."""
+    join: tuple[float, ...] = (Homc.join,)
+    """Values of t0 to try."""
+    pair: bool = False
+    """From frames 20 and 80 alone, repeated five times."""
+
+
+def main(settings: Settings) -> None:
+    rows = open_sequences(settings.data, settings.split)
+    every = (rows[k] for k in range(len(rows)))
+    sequences = [list(group) for _, group in itertools.groupby(every, key=lambda row: row.sequence)][: settings.limit]
+    table = Table(title=f"{len(sequences)} sequences of {settings.split}, {'2' if settings.pair else '8'} frames")
+    for name in ("t0", "labels", "pixels", "P", "R", "F", "mean F", "extracted", "CPU s"):
+        table.add_column(name, justify="right")
+    for join in settings.join:
+        sparse: list[SegmentationScore] = []
+        dense: list[SegmentationScore] = []
+        seconds: list[float] = []
+        shares: list[float] = []
+        for sequence in sequences:
+            found, true, color, used = segment(sequence, Homc(join=join), settings.pair)
+            seconds.append(used)
+            at = pixel_index(found.at)
+            labels = np.zeros(true.shape, np.int64)
+            labels[at] = found.labels
+            known = np.zeros(true.shape, np.bool_)
+            known[at] = True
+            shares.append(float(known.mean()))
+            if known.any():
+                sparse.append(score_segmentation(true[known][None], labels[known][None].astype(np.int32)))
+            filled = densify(found.at, found.labels, found.lab, lab_image(color))
+            dense.append(score_segmentation(true, filled.astype(np.int32)))
+        table.add_row(f"{join:g}", "sparse", f"{np.mean(shares):.1%}", *cells(sparse), f"{np.mean(seconds):.1f}")
+        table.add_row(f"{join:g}", "dense", "100%", *cells(dense), f"{np.mean(seconds):.1f}")
+    Console().print(table)
+
+
+def segment(
+    sequence: list[SequenceRow], method: Homc, pair: bool
+) -> tuple[Segmentation, NDArray[np.int32], NDArray[np.uint8], float]:
+    """Labelled tracks, the truth and colour of frame 80, and CPU seconds."""
+    numbers = [row.frame for row in sequence]
+    prev, curr = numbers.index(PREV_FRAME), numbers.index(CURR_FRAME)
+    frames = [row.image for row in sequence]
+    truth, color = sequence[curr].labels, frames[curr].color
+    if pair:
+        frames = [frames[prev], frames[curr]] * method.repeats
+        prev, curr = len(frames) - 2, len(frames) - 1
+    start = time.process_time()
+    return method.segment(frames, prev, curr), truth, color, time.process_time() - start
+
+
+def cells(scores: list[SegmentationScore]) -> list[str]:
+    """P, R and F in the convention of FBMS-59, the mean F, and extracted objects."""
+    P, R, F = np.mean([score.fbms for score in scores], axis=0)
+    mean = np.mean([score.mean_f.f for score in scores])
+    counts = f"{sum(s.fbms_extracted for s in scores)}/{sum(s.true_objects for s in scores)}"
+    return [f"{P:.3f}", f"{R:.3f}", f"{F:.3f}", f"{mean:.3f}", counts]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
