@@ -50,6 +50,7 @@ class Bootstrap:
         self._scene = np.array([numbers[name] for name in scenes])
         self._seed = int(rng.integers(1 << 62))
         self._draws = draws
+        self._kept: Array | None = None
 
     def mean(self, values: ArrayLike) -> Interval:
         """Of one value a pair; NaN leaves a pair out."""
@@ -89,13 +90,20 @@ class Bootstrap:
 
     def _weights(self, width: int = 1) -> Iterator[Array]:
         """How often each pair is in each resample, (some draws, pairs), in blocks; the same at every call."""
-        scene = self._scene
+        block = max(1, _BLOCK // max(len(self._scene), width))
+        if self._draws * len(self._scene) <= _BLOCK:  # drawing takes longer than what is done with the draws
+            if self._kept is None:
+                self._kept = np.concatenate(list(self._draw(self._draws)))
+            yield from (self._kept[start : start + block] for start in range(0, self._draws, block))
+        else:
+            yield from self._draw(block)
+
+    def _draw(self, block: int) -> Iterator[Array]:
         rng = np.random.default_rng(self._seed)
-        count = int(scene.max()) + 1
-        block = max(1, _BLOCK // max(len(scene), width))
+        count = int(self._scene.max()) + 1
         for start in range(0, self._draws, block):
             size = min(block, self._draws - start)
-            yield rng.multinomial(count, np.full(count, 1 / count), size=size).astype(np.float64)[:, scene]
+            yield rng.multinomial(count, np.full(count, 1 / count), size=size).astype(np.float64)[:, self._scene]
 
 
 def _divide(numerator: Array, denominator: Array) -> Array:

