@@ -83,7 +83,7 @@ def measure(
             clip_grad_norm_(network.parameters(), recipe.clip or float("inf"))
             optimizer.step()
             if mean is not None:
-                mean.update(network)
+                mean.update()
     return clock.seconds, (_cpu_seconds() - used) / steps
 
 

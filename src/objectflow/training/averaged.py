@@ -21,18 +21,20 @@ class AveragedWeights:
         """Start from the network as it is.
 
         Args:
-            network: without wrappers.
+            network: without wrappers; its tensors are followed, so they must only be changed in place from here on.
             decay: what is left of the mean in a step, 0..1. Early on it is less, or first weights would linger.
         """
         self.network = copy.deepcopy(network).requires_grad_(False).eval()
         self.decay, self.steps = decay, 0
+        # Found once: walking through the modules would cost as much as the update.
+        self._pairs = list(zip(self.network.state_dict().values(), network.state_dict().values(), strict=True))
 
     @torch.no_grad()
-    def update(self, network: SceneFlowNet) -> None:
+    def update(self) -> None:
         """Move the mean towards the network's present weights."""
         self.steps += 1
         part = 1 - min(self.decay, self.steps / (self.steps + 9))
-        for mean, now in zip(self.network.state_dict().values(), network.state_dict().values(), strict=True):
+        for mean, now in self._pairs:
             if mean.is_floating_point():
                 mean.lerp_(now, part)
             else:

@@ -32,7 +32,7 @@ class Position:
     Attributes:
         step: steps done.
         seconds: spent training, over all its parts.
-        best: the least masked end point error of any validation, cm; None before the first.
+        best: the least `Validation.score` so far; None before the first.
     """
 
     step: int = 0

@@ -175,7 +175,7 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
         gradient = clip_grad_norm_(parameters, recipe.clip or float("inf"))
         run.optimizer.step()
         if run.mean is not None:
-            run.mean.update(run.network)
+            run.mean.update()
         step = run.position.step + 1
         run.position = dataclasses.replace(run.position, step=step)
         window.add(step, batch.keys, losses, gradient)
@@ -287,9 +287,9 @@ def _validate(run: Run, batches: Batches) -> None:
     network = run.network if run.mean is None else run.mean.network
     with contextlib.closing(_first(batches, count)) as pairs:
         result = validate(network, pairs, recipe, process)
-    best = run.position.best is None or result.epe_cm < run.position.best
+    best = run.position.best is None or result.score < run.position.best
     if best:
-        run.position = dataclasses.replace(run.position, best=result.epe_cm)
+        run.position = dataclasses.replace(run.position, best=result.score)
         _write_weights(run, result)
     if run.folder is not None:
         run.folder.append(

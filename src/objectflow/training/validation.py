@@ -43,6 +43,16 @@ class Validation:
     extracted: int
     true_objects: int
 
+    @property
+    def score(self) -> float:
+        """What the best weights have least of: the error relative to no motion's, less the mean F.
+
+        Both parts are about 1 wide. The error alone would call the first weights the best, which find nothing, where
+        training never beats zero flow.
+        """
+        relative = self.epe_cm / self.zero_epe_cm if self.zero_epe_cm > 0 else 1.0
+        return relative - self.mean_f
+
     def to_dict(self) -> dict[str, Any]:
         """As a line of metrics, with the share of objects extracted."""
         return {**vars(self), "extracted_share": self.extracted / max(1, self.true_objects)}
