@@ -1,0 +1,87 @@
+"""`report.html`: an evaluation as one file that opens anywhere, with tables, plots, a gallery and 3D views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from objectflow import files
+from objectflow.errors import ResultError
+from objectflow.evaluation.results import Evaluation, PairSource
+from objectflow.evaluation.tables import make_tables
+from objectflow.view.report_page.assemble import assemble, escape, json_block
+from objectflow.view.report_page.choice import choose_pairs
+from objectflow.view.report_page.numbers import report_numbers
+from objectflow.view.report_page.pair_block import make_pair_block
+from objectflow.view.report_page.tables import failures_html, tables_html
+
+MAX_PAIRS = 60
+"""Of the gallery: about 15 MB with four methods on 320x240 pairs."""
+
+
+def write_report(path: Path, evaluation: Evaluation, source: PairSource, *, max_pairs: int = MAX_PAIRS) -> None:
+    """Write the report: one file without anything to load, whole or not at all.
+
+    The same evaluation gives the same bytes.
+
+    Args:
+        path: of the HTML file.
+        evaluation: what was found.
+        source: the pictures behind it.
+        max_pairs: how many pairs the gallery shows at most: the worst, the best, and some between. 0 for none.
+
+    Raises:
+        ResultError: `max_pairs` is negative.
+        DatasetError: a pair cannot be read.
+        StorageError: the disk refused.
+    """
+    if max_pairs < 0:
+        raise ResultError(f"the report's gallery cannot show {max_pairs} pairs: ask for 0 or more")
+    chosen = choose_pairs(evaluation, max_pairs)
+    title = f"objectflow evaluation: {evaluation.data}"
+    tables = make_tables(evaluation)
+    blocks = [json_block("report-data", report_numbers(evaluation, tables.tables, chosen))]
+    blocks += [_pair_block(evaluation, source, place, index) for place, index in enumerate(chosen)]
+    page = assemble(
+        {
+            "title": escape(title),
+            "facts": _facts(evaluation),
+            "tables": tables_html(tables),
+            "gallery_note": escape(_gallery_note(evaluation, chosen)),
+            "failures": failures_html(evaluation),
+            "footer": escape(f"Written by objectflow {evaluation.version}. 3D views: three.js (MIT licence)."),
+            "data": "\n".join(blocks),
+        }
+    )
+    files.write_text(path, page)
+
+
+def _pair_block(evaluation: Evaluation, source: PairSource, place: int, index: int) -> str:
+    key = evaluation.pairs[index].key
+    scores = {m: score for m, method in enumerate(evaluation.methods) if (score := method.score(key)) is not None}
+    found = ((m, source.prediction(evaluation.methods[m].label, key)) for m in scores)
+    predictions = {m: motion for m, motion in found if motion is not None}
+    return json_block(f"pair-data-{place}", make_pair_block(source.pair(key), predictions, scores))
+
+
+def _facts(evaluation: Evaluation) -> str:
+    scenes = len({pair.scene for pair in evaluation.pairs})
+    split = f", split {evaluation.split}" if evaluation.split else ""
+    facts = [
+        f"{escape(evaluation.data)} ({escape(evaluation.kind)}{escape(split)})",
+        f"{len(evaluation.pairs)} of {evaluation.total} pairs, {scenes} scenes",
+        f"sha256 <code>{escape(evaluation.sha256[:16])}</code>",
+        escape(evaluation.machine),
+        f"objectflow {escape(evaluation.version)}",
+    ]
+    return " &middot; ".join(facts)
+
+
+def _gallery_note(evaluation: Evaluation, chosen: Sequence[int]) -> str:
+    count = len(evaluation.pairs)
+    if len(chosen) == count:
+        return f"All {count} pairs."
+    return (
+        f"{len(chosen)} of {count} pairs: a third with the lowest, a third with the highest mean-F over the methods, "
+        "the others spread over the ranks between. Tables and plots are of all pairs."
+    )

@@ -1,0 +1,1 @@
+"""The parts of `report.html`: its template, style and scripts, and what Python puts into them."""

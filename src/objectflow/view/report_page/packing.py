@@ -1,0 +1,58 @@
+"""Pictures and maps of numbers as short texts inside a page: WebP, and deflated differences in base64."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import ResultError
+
+NO_FLOW = -32768
+"""Stands for NaN among millimetres."""
+
+_WEBP_QUALITY = 80
+
+
+def pack_photo(image: NDArray[np.uint8]) -> str:
+    """(H, W, 3) uint8 RGB -> a data URI.
+
+    Raises:
+        ResultError: the picture cannot be encoded.
+    """
+    done, data = cv2.imencode(
+        ".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY]
+    )
+    if not done:
+        raise ResultError(f"a {image.shape[1]}x{image.shape[0]} picture cannot be encoded as WebP")
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def pack_bytes(values: NDArray[np.uint8]) -> str:
+    """Whole numbers under 256, such as labels."""
+    return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode()
+
+
+def pack_words(values: NDArray[np.int16]) -> str:
+    """16-bit numbers as differences from one to the next (modulo 2^16), all low bytes before all high bytes.
+
+    Smooth maps become small differences whose high bytes are nearly all 0, which deflate at a third of the size.
+    """
+    difference = np.diff(values.ravel().view(np.uint16), prepend=np.uint16(0)).astype("<u2")
+    planes = difference.view(np.uint8).reshape(-1, 2).T
+    return pack_bytes(np.ascontiguousarray(planes))
+
+
+def millimetres(flow: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.int16]:
+    """(H, W, 3) metres -> (3, H, W) whole millimetres, `NO_FLOW` where NaN.
+
+    Where `valid` (H, W) is false nothing is ever shown, so the last number before is repeated: it costs no bytes.
+    """
+    known = np.asarray(np.isfinite(flow).all(axis=-1), dtype=np.bool_)
+    rounded = np.clip(np.rint(1000 * np.where(known[..., None], flow, 0)), NO_FLOW + 1, -NO_FLOW - 1)
+    words = np.where(known[..., None], rounded, NO_FLOW).astype(np.int16).reshape(-1, 3)
+    last = np.maximum.accumulate(np.where(valid.ravel(), np.arange(valid.size), 0))
+    return np.ascontiguousarray(words[last].T).reshape(3, *valid.shape)

@@ -1,0 +1,166 @@
+"""Drive a headless Chromium over its DevTools protocol: open a page, run scripts in it, press keys, take pictures."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+SECONDS = 60.0
+"""Before a page or an answer that does not come is given up."""
+
+
+def find_chromium() -> str | None:
+    """Where Chromium or Chrome is, if it is installed; `CHROMIUM` in the environment says it outright."""
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    return os.environ.get("CHROMIUM") or next((path for name in names if (path := shutil.which(name))), None)
+
+
+class Page:
+    """One tab; `errors` collects what its console and scripts complain of, `requests` what it asks for."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._number = 0
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Send a command and wait for its result."""
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=SECONDS))
+            if message.get("id") == self._number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']['message']}")
+                return dict(message["result"])
+            self._note(message)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        event, values = message.get("method"), message.get("params", {})
+        if event == "Runtime.exceptionThrown":
+            self.errors.append(json.dumps(values["exceptionDetails"])[:500])
+        elif event == "Runtime.consoleAPICalled" and values["type"] in ("error", "warning", "assert"):
+            self.errors.append(json.dumps(values["args"])[:500])
+        elif event == "Log.entryAdded" and values["entry"]["level"] in ("error", "warning"):
+            self.errors.append(values["entry"]["text"])
+        elif event == "Network.requestWillBeSent":
+            self.requests.append(values["request"]["url"])
+
+    def run(self, script: str) -> Any:
+        """The value of a JavaScript expression; promises are awaited."""
+        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        if "exceptionDetails" in result:
+            raise RuntimeError(json.dumps(result["exceptionDetails"])[:800])
+        return result["result"].get("value")
+
+    def wait(self, condition: str) -> None:
+        """Wait until an expression is true."""
+        end = time.monotonic() + SECONDS
+        while not self.run(f"Boolean({condition})"):
+            if time.monotonic() > end:
+                raise TimeoutError(f"never true: {condition}; errors of the page: {self.errors}")
+            time.sleep(0.05)
+
+    def open(self, path: Path, *, fragment: str = "") -> None:
+        """Load a file and wait for it."""
+        self.call("Page.navigate", url=path.resolve().as_uri() + fragment)
+        self.wait("document.readyState === 'complete' && document.querySelector('#cards')")
+
+    def size(self, width: int, height: int) -> None:
+        """Of the window's inside."""
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def dark(self, on: bool) -> None:
+        """What the system is said to prefer."""
+        value = "dark" if on else "light"
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": value}])
+
+    def click(self, selector: str) -> None:
+        """Press the mouse in the middle of an element."""
+        box = self.run(
+            f"(() => {{ const node = document.querySelector({json.dumps(selector)});"
+            " node.scrollIntoView({block: 'center'});"
+            " const box = node.getBoundingClientRect(); return [box.x + box.width / 2, box.y + box.height / 2]; })()"
+        )
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Drag with the left button, in the window's pixels."""
+        x, y = start
+        self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
+        x, y = end
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button="left", buttons=1)
+        self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+
+    def press(self, key: str, code: int = 0) -> None:
+        """Press and release a key; printable ones are typed."""
+        text = {"text": key} if len(key) == 1 else {}
+        common = {"key": key, "windowsVirtualKeyCode": code or ord(key[0].upper())}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **common, **text)
+        self.call("Input.dispatchKeyEvent", type="keyUp", **common)
+
+    def picture(self, path: Path | None = None, *, quality: int | None = None) -> bytes:
+        """A screenshot as PNG, or JPEG where a quality is given; written to `path` too."""
+        kind = {"format": "png"} if quality is None else {"format": "jpeg", "quality": quality}
+        data = base64.b64decode(self.call("Page.captureScreenshot", **kind)["data"])
+        if path is not None:
+            path.write_bytes(data)
+        return data
+
+
+@contextmanager
+def chromium(program: str, folder: Path) -> Iterator[Page]:
+    """Start Chromium with software WebGL and its profile in `folder`; stop it at the end."""
+    command = [
+        program,
+        "--headless=new",
+        "--no-sandbox",
+        "--no-first-run",
+        "--disable-gpu-sandbox",
+        "--disable-dev-shm-usage",
+        "--disable-background-networking",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--remote-debugging-port=0",
+        f"--user-data-dir={folder}",
+        "about:blank",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        port = _port(folder / "DevToolsActivePort", process)
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=SECONDS) as answer:
+            target = next(one for one in json.load(answer) if one["type"] == "page")
+        with connect(target["webSocketDebuggerUrl"], max_size=None) as socket:
+            yield Page(socket)
+    finally:
+        process.terminate()
+        try:
+            process.wait(timeout=20)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _port(file: Path, process: subprocess.Popen[bytes]) -> int:
+    end = time.monotonic() + SECONDS
+    while time.monotonic() < end and process.poll() is None:
+        lines = file.read_text().splitlines() if file.exists() else []
+        if lines:
+            return int(lines[0])
+        time.sleep(0.05)
+    raise RuntimeError("Chromium did not start")
