@@ -4,8 +4,8 @@
 
 Generates small pairs and takes the first eight with two objects or more, all of which can be extracted at the size of
 training: of some 38 pixels or more there. Trains with the cpu recipe without augmentation, validates on the same
-pairs, and says whether the masked end point error fell below 5 mm with all objects extracted. OUT/run/loss_curve.png shows
-the way. The same command continues a run that was stopped.
+pairs, and says whether the masked end point error fell below 5 mm with all objects extracted. OUT/run/loss_curve.png
+shows the way. The same command continues a run that was stopped.
 """
 
 from __future__ import annotations

@@ -42,8 +42,8 @@ class Window:
             if bad:
                 what = ", ".join(f"{self._names[index]} is {float(row[index])}" for index in bad)
                 raise TrainingError(
-                    f"step {step}: {what}; the pairs were {', '.join(keys)}: lower the learning rate, or look at these "
-                    "pairs with `objectflow show`"
+                    f"step {step}: {what}; the pairs were {', '.join(keys)}: lower the learning rate, or look at "
+                    "these pairs with `objectflow show`"
                 )
         mean = self._process.mean(values.mean(dim=0))
         self._steps, self._values = [], []
