@@ -84,6 +84,18 @@ def test_a_killed_run_is_continued(tmp_path: Path) -> None:
     assert all(path.read_bytes() == data for path, data in made.items())
 
 
+def test_no_extra_is_needed(tmp_path: Path) -> None:
+    extras = ("mujoco", "mujoco_warp", "trimesh", "coacd", "ray", "pybullet", "datasets", "onnx")
+    program = (
+        f"import sys; sys.modules.update(dict.fromkeys({extras!r}))\n"
+        "from objectflow.cli import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = ["evaluate", "--data", "tiny", "--limit", "1", "--methods", "zero", "--no-report"]
+    command = [sys.executable, "-c", program, *words, "--out", str(tmp_path / "out")]
+    found = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
 def test_pair_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     make_real(tmp_path / "real", "a", "b")

@@ -19,6 +19,7 @@ from objectflow.evaluation.plain import to_plain
 from objectflow.evaluation.truth import PairTruth
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.moving_camera import MovingCamera
 
 ORACLES: dict[str, str] = {
     "oracle-masks": "true masks with our rigid fit",
@@ -134,6 +135,9 @@ _TRUTH_FIELDS = frozenset({"labels", "truth", "background_prev_T_curr", "setting
 def _settings(made: object, options: Mapping[str, Any]) -> dict[str, Any]:
     """What a prediction depends on: every field that can be given, as JSON."""
     values = dict(options)
+    if isinstance(made, MovingCamera):
+        # The method's own fields, and what it is told of the camera from outside.
+        return {**_settings(made.estimator, options), "camera": made.camera}
     if dataclasses.is_dataclass(made) and not isinstance(made, type):
         fields = [field.name for field in dataclasses.fields(made) if field.init and field.name not in _TRUTH_FIELDS]
         values = {name: getattr(made, name) for name in fields}

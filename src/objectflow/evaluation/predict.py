@@ -27,6 +27,9 @@ FOLDER = "predictions"
 FORMAT = 1
 """Of the cached files."""
 
+SEQUENCES = ("sequences", "consecutive")
+"""Kinds of sets whose pairs have a window."""
+
 
 @dataclass(frozen=True, eq=False)
 class Job:
@@ -130,7 +133,7 @@ def settings_of(spec: MethodSpec, pairs: PairSet) -> dict[str, Any]:
 
 
 def _jobs(pairs: PairSet, keys: Sequence[str], number: int, spec: MethodSpec) -> Iterator[Job]:
-    in_sequence = not spec.oracle and isinstance(spec.make(), SequenceEstimator)
+    in_sequence = pairs.kind in SEQUENCES and not spec.oracle and isinstance(spec.make(), SequenceEstimator)
     for key in keys:
         pair: EvaluationPair = pairs.pair(key)
         window = pairs.window(key) if in_sequence else None
