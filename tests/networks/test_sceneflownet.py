@@ -162,3 +162,11 @@ def test_scene_flow_is_equation_one(angle: float) -> None:
     found = scene_flow(*tensors)
     np.testing.assert_allclose(found.detach()[0].T.numpy(), expected, atol=1e-12)
     assert torch.autograd.gradcheck(scene_flow, tensors)
+
+
+def test_heads_applied_at_once_are_the_layers_one_by_one() -> None:
+    network = _network()
+    features = torch.randn(2, network.hourglass.channels, 6, 7, generator=torch.Generator().manual_seed(2))
+    together = network.heads(features)
+    for name, value in together._asdict().items():
+        torch.testing.assert_close(value, network.heads.maps[name](features), rtol=1e-5, atol=1e-7)
