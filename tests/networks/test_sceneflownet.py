@@ -20,7 +20,7 @@ from objectflow.networks.sceneflownet import fill_holes
 SMALL = dataclasses.replace(NetworkSettings().scaled(0.125), reach=2, trunk_blocks=(1, 1))
 
 
-def _network(**changes: Any) -> SceneFlowNet:
+def _network(**changes: Any) -> Any:
     return SceneFlowNet(dataclasses.replace(SMALL, **changes), generator=torch.Generator().manual_seed(0))
 
 
@@ -48,19 +48,19 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(correlation: bool, he
     assert out.trajectory.shape == (2, 6, height, width)
     torch.testing.assert_close(out.trajectory[:, 3:], out.center + out.translation)
     if height > 8:
-        sum(value.square().sum() for value in out).backward()  # type: ignore[union-attr]
+        sum(value.square().sum() for value in out).backward()
         silent = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.isfinite().all()]
         assert not silent
 
 
 def test_default_is_the_papers_size() -> None:
-    hourglass = Hourglass(192, NetworkSettings())
+    hourglass: Any = Hourglass(192, NetworkSettings())
     shapes = [stage[0](torch.zeros(1, stage[0].in_channels, n, m)).shape[1:] for stage, (n, m) in zip(
         hourglass.down, ((30, 40), (30, 40), (15, 20), (8, 10)), strict=True
     )]  # fmt: skip
     assert [tuple(shape) for shape in shapes] == [(64, 30, 40), (128, 15, 20), (256, 8, 10), (512, 4, 5)]
-    network = SceneFlowNet()
-    assert network.hourglass.down[0][0].in_channels == 192  # type: ignore[index]
+    network: Any = SceneFlowNet()
+    assert network.hourglass.down[0][0].in_channels == 192
     assert network.color_encoder is not None
     assert network.color_encoder.project.out_channels == 256
     strides = [layer.stride[0] for layer in network.shape_encoder if isinstance(layer, torch.nn.Conv2d)]
@@ -89,7 +89,7 @@ def test_frozen_normalisation_takes_every_pair_on_its_own() -> None:
     frames = _frames(32, 40)
     for norm, same in (("frozen", True), ("batch", False)):
         network = _network(trunk_norm=norm).train()
-        torch.nn.init.constant_(network.color_encoder.trunk.layer2[0].bn3.weight, 0.5)  # type: ignore[union-attr, index]
+        torch.nn.init.constant_(network.color_encoder.trunk.layer2[0].bn3.weight, 0.5)
         together = network(*frames).radius[:1]
         alone = network(*(frame[:1] for frame in frames)).radius
         assert torch.allclose(together, alone, atol=1e-6, rtol=1e-4) is same
@@ -103,7 +103,7 @@ def test_bfloat16_inside_gives_float32_maps_near_the_exact_ones() -> None:
     for one, other in zip(rough, exact, strict=True):
         assert one.dtype == torch.float32
         assert 0 < (one - other).norm() < 0.2 * other.norm()  # some 0.4% a layer, over 25 layers
-    sum(one.square().sum() for one in rough).backward()  # type: ignore[union-attr]
+    sum(one.square().sum() for one in rough).backward()
     assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in network.parameters())
 
 
