@@ -43,15 +43,16 @@ def make_real(folder: Path, *names: str) -> Path:
 
 def test_the_packaged_set_from_a_shell(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("--data", "tiny", "--methods", "zero", "oracle-motion", "--out", str(out), "--no-report")
+    words = ("--data", "tiny", "--methods", "zero", "oracle-motion", "--out", str(out))
     first = evaluate(*words)
     assert (first.returncode, first.stderr) == (0, "")
     assert "oracle-motion †" in first.stdout
     assert "OurC+vL+Rig (paper)" in first.stdout
     assert "16 of 16 pairs (16 scenes) of tiny" in first.stdout
     assert sorted(path.name for path in out.iterdir()) == [
-        "predictions", "results.json", "tables.csv", "tables.json", "tables.md",
+        "predictions", "report.html", "results.json", "tables.csv", "tables.json", "tables.md",
     ]  # fmt: skip
+    assert "oracle-motion" in (out / "report.html").read_text(encoding="utf-8")
     evaluation = Evaluation.read(out / "results.json")
     zero, oracle = evaluation.methods
     assert zero.summary is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,9 +103,10 @@ class Evaluate:
         tables = make_tables(evaluation)
         print_tables(tables, Console(highlight=False))
         _write(out, evaluation, tables)
-        if self.report and importlib.util.find_spec("objectflow.view.report"):
-            report = importlib.import_module("objectflow.view.report")
-            report.write_report(out / "report.html", evaluation, CachedPairs(pairs, specs, out))
+        if self.report:
+            from objectflow.view.report import write_report
+
+            write_report(out / "report.html", evaluation, CachedPairs(pairs, specs, out))
         print(f"written to {out}")
 
     def _sequences(self) -> SequenceUse:
