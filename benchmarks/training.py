@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 from torch.nn.utils import clip_grad_norm_
 
-from objectflow.dataset.batches import Batches
+from objectflow.dataset.batches import CACHE_BYTES, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.devices import find_device
 from objectflow.training.averaged import AveragedWeights
@@ -78,7 +78,7 @@ def measure(
             losses = compute_losses(output, targets, points, recipe.loss_settings)
         with clock.phase("backward"):
             optimizer.zero_grad(set_to_none=True)
-            losses["total"].backward()
+            losses["total"].backward()  # type: ignore[no-untyped-call]
         with clock.phase("update"):
             clip_grad_norm_(network.parameters(), recipe.clip or float("inf"))
             optimizer.step()
@@ -111,9 +111,13 @@ def run(arguments: Settings) -> None:
         table.add_column(name, justify="left" if not name else "right")
     for kept in (False, True):
         batches = Batches(
-            shards, settings.batch_size, size=settings.size, seed=0, workers=settings.workers,
-            **({} if kept else {"cache_bytes": 0}),
-        )  # fmt: skip
+            shards,
+            settings.batch_size,
+            size=settings.size,
+            seed=0,
+            workers=settings.workers,
+            cache_bytes=CACHE_BYTES if kept else 0,
+        )
         warm_up = min(batches.steps_per_pass, 200) if kept else 2
         seconds, cpu = measure(settings, batches, place, steps, warm_up)
         total = sum(seconds.values())
