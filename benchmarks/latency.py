@@ -118,7 +118,8 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         if not released:
             network = SceneFlowNet(NetworkSettings(correlation=name != "sceneflownet-s"))
             save_weights(random, network, {"variant": name, "size": [240, 320]})
-        estimator: Any = objectflow.load(name, weights=None if released else random, device=settings.device)
+        weights = None if released else random
+        estimator: Any = objectflow.load(name, camera="static", weights=weights, device=settings.device)
     network = estimator.network
     generator = torch.Generator().manual_seed(0)
     rows = []
