@@ -226,3 +226,14 @@ def test_depth_noise_is_what_the_paper_measured() -> None:
     camera = Camera(128, 96, 100.0, 100.0, 63.5, 47.5)
     expected = np.hypot(np.sqrt(2) * 0.0012, 0.5 * 0.4 / 100)
     np.testing.assert_allclose(noise.match_sigma(np.array([0.4]), camera, pixels=0.5), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (8, 8), (3, 40), (11, 12)])
+@pytest.mark.parametrize("camera", ["auto", "moving"])
+@pytest.mark.parametrize("method", ["consensus", "dense-flow", "pd-flow"])
+def test_images_too_small_to_match_give_a_result(method: str, camera: str, size: tuple[int, int]) -> None:
+    height, width = size
+    noise = np.random.default_rng(0).integers(0, 255, (2, height, width, 3), dtype=np.uint8)
+    lens = Camera(width, height, float(width), float(width), (width - 1) / 2, (height - 1) / 2)
+    prev, curr = (RgbdFrame(color, np.ones(size, np.float32), lens) for color in noise)
+    assert objectflow.load(method, camera=camera)(prev, curr).labels.shape == size

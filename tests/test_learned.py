@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import analytic
 import objectflow
@@ -40,7 +41,7 @@ def scene(width: int = 160, height: int = 120) -> analytic.AnalyticPair:
 
 
 def truthful(weights: Path, pair: analytic.AnalyticPair, labels: NDArray[np.int32], **options: Any) -> Any:
-    estimator = objectflow.load(NAME, weights=weights, **options)
+    estimator = objectflow.load(NAME, camera="static", weights=weights, **options)
     object.__setattr__(estimator, "network", Truth(pair, labels))
     return estimator
 
@@ -174,7 +175,7 @@ def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
     }
     made = dataclasses.replace(pair, labels=labels, centers={1: X, 2: X}, prev_T_curr=motions)
     truth = Truth(made, labels)
-    estimator: Any = objectflow.load(NAME, weights=save(tmp_path / "w.safetensors", **metadata))
+    estimator: Any = objectflow.load(NAME, camera="static", weights=save(tmp_path / "w.safetensors", **metadata))
 
     def network(*images: torch.Tensor) -> Any:
         maps = truth(*images)
@@ -216,7 +217,7 @@ def test_the_same_frames_give_the_same_result_and_change_nothing(tmp_path: Path)
 def test_the_network_is_given_the_frames_in_its_own_units(weights: Path) -> None:
     """By hand: colour in 0..1, points in metres, previous before current."""
     pair = scene()
-    estimator = objectflow.load(NAME, weights=weights)
+    estimator = objectflow.load(NAME, camera="static", weights=weights)
     assert isinstance(estimator, SceneFlowEstimator)
     found = estimator.predict(pair.prev, pair.curr)
     arguments = []
@@ -237,13 +238,13 @@ def test_the_network_is_given_the_frames_in_its_own_units(weights: Path) -> None
 
 def test_weights_bring_the_options_that_they_were_trained_with(tmp_path: Path) -> None:
     path = save(tmp_path / "w.safetensors", size=[60, 80], grouping={"rotation_weight": 0.07})
-    estimator: Any = objectflow.load(NAME, weights=path)
+    estimator: Any = objectflow.load(NAME, camera="static", weights=path)
     assert (estimator.size, estimator.grouping.rotation_weight) == ((60, 80), 0.07)
     assert estimator.resize(scene().curr).depth.shape == (60, 80)
-    other: Any = objectflow.load(NAME, weights=str(path), rotation_weight=0.0, min_pixels=3)
+    other: Any = objectflow.load(NAME, camera="static", weights=str(path), rotation_weight=0.0, min_pixels=3)
     assert (other.grouping.rotation_weight, other.grouping.min_pixels) == (0, 3)
     bare = save(tmp_path / "bare.safetensors", size=[240, 320])
-    assert objectflow.load(NAME, weights=bare).size == (240, 320)  # type: ignore[attr-defined]
+    assert objectflow.load(NAME, camera="static", weights=bare).size == (240, 320)  # type: ignore[attr-defined]
 
 
 def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
@@ -255,7 +256,7 @@ def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
     loss = dataclasses.replace(RECIPE.loss, rotation_weight=0.05)
     recipe = dataclasses.replace(RECIPE, loss=loss, steps=2, validation_pairs=2)
     train(job(write_set(tmp_path / "set", pairs=4), tmp_path / "run", recipe))
-    estimator: Any = objectflow.load(NAME, weights=tmp_path / "run")
+    estimator: Any = objectflow.load(NAME, camera="static", weights=tmp_path / "run")
     assert (estimator.size, estimator.grouping.rotation_weight) == ((24, 32), 0.05)
     assert estimator.weights == tmp_path / "run" / "weights.safetensors"
     estimator(scene().prev, scene().curr)
@@ -286,7 +287,7 @@ def test_weights_that_do_not_fit_say_why(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"camera": "moving"}, "takes the camera to stand still and cannot do camera=moving: use consensus"),
+        ({"camera": "handheld"}, "camera must be auto, static or moving, not 'handheld'"),
         ({"rigid": "soft"}, "rigid must be none, average or refine, not 'soft'"),
         ({"device": "abacus"}, "unknown device 'abacus'"),
         ({"device": "cuda:99"}, "device cuda:99 asked for, but there is"),
@@ -307,3 +308,20 @@ def test_frames_that_cannot_be_used_are_refused(weights: Path) -> None:
     sparse = RgbdFrame(pair.curr.color, depth, pair.curr.camera)
     motion = objectflow.load(NAME, weights=weights)(sparse, sparse)
     assert np.isnan(motion.scene_flow).any(-1).sum() == depth.size - 1
+
+
+def test_a_moving_camera_is_taken_out_and_put_back(weights: Path) -> None:
+    motion = np.eye(4)
+    motion[:3, :3] = Rotation.from_euler("xyz", (2, -2, 1), degrees=True).as_matrix()
+    motion[:3, 3] = (0.02, -0.01, 0.02)
+    still = analytic.make_scene(5, objects=(4, 4), width=160, height=120)
+    moved = analytic.make_scene(5, objects=(4, 4), width=160, height=120, camera_motion=motion)
+    estimator: Any = objectflow.load(NAME, weights=weights)
+    object.__setattr__(estimator.estimator, "network", Truth(still, still.labels))
+    found = estimator(moved.prev, moved.curr)
+    assert found.camera_motion is not None
+    off = np.linalg.norm(found.scene_flow - moved.scene_flow, axis=-1)
+    assert np.nanmean(off) < 0.002
+    for obj in found.objects:
+        true = moved.prev_T_curr[int(np.bincount(moved.labels[found.labels == obj.id]).argmax())]
+        np.testing.assert_allclose(obj.prev_T_curr, true, atol=0.01)

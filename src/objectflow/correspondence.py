@@ -13,6 +13,9 @@ from objectflow.frame import Camera, RgbdFrame
 
 Floats = NDArray[np.float32]
 
+_SMALLEST = 12
+"""Pixels a side that DIS needs."""
+
 
 @dataclass(frozen=True, eq=False)
 class Matches:
@@ -53,9 +56,13 @@ def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def dense_flow(prev_gray: NDArray[np.uint8], curr_gray: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.bool_]]:
     """DIS optical flow (Kroeger et al., ECCV 2016) from the current to the previous image.
 
+    Images with a side below `_SMALLEST` pixels are too small for it: no pixel of theirs is consistent.
+
     Returns:
         (H, W, 2) float32 flow in pixels, and (H, W) bool: forward and backward flow agree.
     """
+    if min(curr_gray.shape) < _SMALLEST:
+        return np.zeros((*curr_gray.shape, 2), np.float32), np.zeros(curr_gray.shape, bool)
     dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     dis.setFinestScale(1)
     curr_to_prev = np.asarray(dis.calc(curr_gray, prev_gray, None), dtype=np.float32)  # type: ignore[call-overload]

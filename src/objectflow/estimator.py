@@ -26,11 +26,15 @@ class Estimator(Protocol):
 
 
 class MethodEntry(NamedTuple):
-    """Where a method lives; its class is a dataclass whose fields are the options of `load`."""
+    """Where a method lives; its class is a dataclass whose fields are the options of `load`.
+
+    `still`: it is made for a camera that stands still; for one that moves, `load` wraps it in `MovingCamera`.
+    """
 
     summary: str
     module: str
     factory: str
+    still: bool = False
 
 
 METHODS: dict[str, MethodEntry] = {
@@ -48,6 +52,7 @@ METHODS: dict[str, MethodEntry] = {
         "Jaimez et al. 2015: dense variational flow of brightness and depth; flow only, no objects",
         "objectflow.baselines.pd_flow.estimator",
         "PdFlow",
+        still=True,
     ),
     "vo-sf": MethodEntry(
         "Jaimez et al. 2017: geometric clusters, static or moving, with a rigid motion each",
@@ -68,12 +73,19 @@ METHODS: dict[str, MethodEntry] = {
         "the paper's network with correlation and all losses; needs weights",
         "objectflow.learned",
         "SceneFlowNetCVL",
+        still=True,
     ),
     "sceneflownet-c": MethodEntry(
-        "the same without the variance and violation losses; needs weights", "objectflow.learned", "SceneFlowNetC"
+        "the same without the variance and violation losses; needs weights",
+        "objectflow.learned",
+        "SceneFlowNetC",
+        still=True,
     ),
     "sceneflownet-s": MethodEntry(
-        "the paper's simple network, without correlation; needs weights", "objectflow.learned", "SceneFlowNetS"
+        "the paper's simple network, without correlation; needs weights",
+        "objectflow.learned",
+        "SceneFlowNetS",
+        still=True,
     ),
     "zero": MethodEntry("nothing moves: the row that every method must beat", "objectflow.baselines.zero", "Zero"),
 }
@@ -84,7 +96,8 @@ def load(name: str = DEFAULT_METHOD, **options: Any) -> Estimator:
 
     Args:
         name: one of `METHODS`.
-        **options: the method's own settings; `camera` ("auto", "static" or "moving") is known to every method.
+        **options: the method's own settings; `camera` ("auto", "static" or "moving") is known to every method. For
+            methods made for a still camera, another one's motion is found and taken out first: see `MovingCamera`.
 
     Raises:
         MethodError: an unknown name (the message lists the choices), or an option or a value that it does not have.
@@ -99,7 +112,14 @@ def load(name: str = DEFAULT_METHOD, **options: Any) -> Estimator:
     unknown = sorted(set(options) - set(known))
     if unknown:
         raise MethodError(f"method {name!r} has no option {unknown[0]!r}: it has {', '.join(known)}")
-    return cast(Estimator, factory(**options))
+    camera = options.get("camera", "auto")
+    if not entry.still or camera == "static":
+        return cast(Estimator, factory(**options))
+    check_camera_option(camera)
+    # Imported here: it is made of estimators.
+    from objectflow.moving_camera import MovingCamera
+
+    return MovingCamera(factory(**{**options, "camera": "static"}), camera=camera)
 
 
 def check_camera_option(camera: str) -> None:

@@ -35,8 +35,8 @@ class SceneFlowEstimator:
     """A trained network.
 
     Attributes:
-        camera: "static", or "auto", which means the same here: the networks take the camera to stand still, and the
-            flow off the objects is 0. "moving" is refused.
+        camera: whatever it says, the networks take the camera to stand still, and the flow off the objects is 0.
+            `objectflow.load` makes them fit for one that moves; see `MovingCamera`.
         weights: a file, a folder, or `hf://OWNER/NAME`; None takes the released ones. See `find_weights`. Afterwards
             the file that was found.
         rigid: "none" gives each pixel the network's own flow, "average" the flow of its object's mean motion (the
@@ -62,10 +62,6 @@ class SceneFlowEstimator:
 
     def __post_init__(self) -> None:
         check_camera_option(self.camera)
-        if self.camera == "moving":
-            raise MethodError(
-                f"{self.METHOD} takes the camera to stand still and cannot do camera=moving: use consensus"
-            )
         if self.rigid not in get_args(Rigid):
             raise MethodError(f"rigid must be none, average or refine, not {self.rigid!r}")
         device = find_device(self.device)

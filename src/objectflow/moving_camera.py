@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -46,6 +47,12 @@ class MovingCamera:
 
     def __post_init__(self) -> None:
         check_camera_option(self.camera)
+
+    @property
+    def weights(self) -> Path | None:
+        """The file of the method's weights, if it has some."""
+        found: Path | None = getattr(self.estimator, "weights", None)
+        return found
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`. `camera_motion` is set where the camera was found to move."""
