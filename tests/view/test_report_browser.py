@@ -1,0 +1,86 @@
+"""The report in headless Chromium: it opens without a complaint, shows a pair, and draws it in 3D as chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from browser import Page, chromium, find_chromium
+from report_set import make_set
+
+from objectflow.view.report import write_report
+
+PIXELS = """(() => {
+  const scene = document.getElementById('scene');
+  const copy = Object.assign(document.createElement('canvas'), {width: 80, height: 60});
+  const context = copy.getContext('2d', {willReadFrequently: true});
+  context.drawImage(scene, 0, 0, 80, 60);
+  return Array.from(context.getImageData(0, 0, 80, 60).data);
+})()"""
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium or Chrome is installed: the report is not opened")
+    folder = tmp_path_factory.mktemp("browser")
+    write_report(folder / "report.html", *make_set(3))
+    with chromium(program, folder / "profile") as page:
+        page.size(1280, 900)
+        page.open(folder / "report.html")
+        yield page
+
+
+def keys(page: Page) -> list[str]:
+    return list(page.run("[...document.querySelectorAll('.card-head button')].map((node) => node.textContent)"))
+
+
+def choose(page: Page, selector: str, value: str) -> None:
+    page.run(
+        f"(() => {{ const node = document.querySelector('{selector}'); node.value = '{value}';"
+        " node.dispatchEvent(new Event('input')); node.dispatchEvent(new Event('change')); })()"
+    )
+
+
+def test_plots_and_pictures_are_drawn(page: Page) -> None:
+    page.run("document.getElementById('gallery').scrollIntoView()")  # cards are drawn when they come into view
+    page.wait("document.querySelectorAll('#cards canvas').length >= 8")
+    assert page.run("document.querySelectorAll('#plots svg').length") == 5
+    assert page.run("document.querySelectorAll('#plots svg g').length") > 10
+
+
+def test_pairs_are_sorted_and_filtered(page: Page) -> None:
+    both = []
+    for order in ("worst", "best"):
+        choose(page, "#sort-order", order)
+        both.append(keys(page))
+    assert sorted(both[0]) == [f"analytic-000{k}" for k in range(3)]
+    assert both[0] == both[1][::-1]
+    choose(page, "#filter", "0002")
+    assert keys(page) == ["analytic-0002"]
+    choose(page, "#filter", "")
+
+
+def test_a_click_shows_a_pair_in_3d_and_switching_changes_the_picture(page: Page) -> None:
+    first = keys(page)[0]
+    page.click(".card-head button")
+    page.wait("document.getElementById('pair').open && document.querySelector('#pair-scores table')")
+    assert page.run("document.getElementById('pair-title').textContent") == first
+    page.wait(f"new Set({PIXELS}).size > 20")
+    truth = page.run(PIXELS)
+    # "2" is the first method, which finds nothing: the objects' colours go.
+    page.press("2")
+    page.wait("document.querySelector('#layer-choice input[value=\"0\"]').checked")
+    zero = page.run(PIXELS)
+    assert sum(a != b for a, b in zip(truth, zero, strict=True)) > 100
+    assert max(abs(a - b) for a, b in zip(zero[::4], zero[1::4], strict=True)) < 30  # grey
+    page.press("n")
+    page.wait(f"document.getElementById('pair-title').textContent !== '{first}'")
+    page.press("Escape", 27)
+    page.wait("!document.getElementById('pair').open")
+
+
+def test_nothing_complained_and_nothing_was_fetched(page: Page) -> None:
+    assert page.errors == []
+    assert [one for one in page.requests if not one.startswith(("file:", "data:"))] == []
