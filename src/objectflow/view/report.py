@@ -16,7 +16,7 @@ from objectflow.view.report_page.pair_block import make_pair_block
 from objectflow.view.report_page.tables import failures_html, tables_html
 
 MAX_PAIRS = 60
-"""Of the gallery: about 15 MB with four methods on 320x240 pairs."""
+"""Of the gallery. A pair takes more bytes the more methods and the noisier their flow; the points are bounded."""
 
 
 def write_report(path: Path, evaluation: Evaluation, source: PairSource, *, max_pairs: int = MAX_PAIRS) -> None:
