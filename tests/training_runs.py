@@ -43,6 +43,7 @@ RECIPE = Recipe(
     validation_pairs=4,
     log_every=5,
     workers=0,
+    augment=AugmentSettings(sensors=1),
     network=NETWORK,
 )
 """Everything switched on that a resumed run could forget."""
