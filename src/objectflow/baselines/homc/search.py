@@ -68,39 +68,51 @@ class _Search:
                 return self.problem.connected(labels)
 
     def _join(self, labels: Ints) -> bool:
-        """Join the two neighbouring parts that gain most, as long as there are such."""
+        """Join two neighbouring parts, or three at once, as long as that gains."""
         changed = False
         while True:
             _, part = np.unique(labels, return_inverse=True)
             count = int(part.max()) + 1
-            two, costs = self._between(part)
-            touching = np.sort(part[self.problem.edges], axis=1)
-            touching = np.unique(touching[:, 0] * count + touching[:, 1])
-            keys, index = np.unique(two[:, 0] * count + two[:, 1], return_inverse=True)
-            gains = np.bincount(index, weights=costs, minlength=len(keys))
-            gains[~np.isin(keys, touching)] = 0
-            if len(keys) == 0 or gains.min() >= -_GAIN:
-                return changed
-            # All joins that share no part can be made at once: each triple lies in two parts of one of them at most.
+            groups, gains = self._joins(part, count)
             taken = np.zeros(count, np.bool_)
             for k in np.argsort(gains, kind="stable"):
-                a, b = divmod(int(keys[k]), count)
                 if gains[k] >= -_GAIN:
                     break
-                if not (taken[a] or taken[b]):
-                    taken[[a, b]] = True
-                    labels[part == b] = labels[np.flatnonzero(part == a)[0]]
-                    changed = True
+                # Joins that share no part do not change each other's gains: all are made.
+                if not taken[groups[k]].any():
+                    taken[groups[k]] = True
+                    labels[np.isin(part, groups[k])] = labels[np.flatnonzero(part == groups[k][0])[0]]
+            if not taken.any():
+                return changed
+            changed = True
 
-    def _between(self, part: Ints) -> tuple[Ints, Floats]:
-        """What joining two parts costs: (M, 2) parts, the smaller first, and (M,) costs, of pairs and of triples."""
+    def _joins(self, part: Ints, count: int) -> tuple[Ints, Floats]:
+        """What joining neighbouring parts costs: (M, 3) parts, the last two equal for a pair, and (M,)."""
         p = self.problem
         pair = np.sort(part[p.pairs], axis=1)
         apart = pair[:, 0] != pair[:, 1]
         triple = np.sort(part[p.triples], axis=1)
-        spans = (triple[:, 0] != triple[:, 2]) & ((triple[:, 0] == triple[:, 1]) | (triple[:, 1] == triple[:, 2]))
-        both = np.concatenate([pair[apart], triple[spans][:, [0, 2]]])
-        return both, np.concatenate([p.pair_costs[apart], p.triple_costs[spans]])
+        new = np.stack([triple[:, 0] != triple[:, 1], triple[:, 1] != triple[:, 2]])
+        spans_two = new.sum(0) == 1
+        two = np.concatenate([pair[apart], triple[spans_two][:, [0, 2]]])
+        keys, of_two = _sums(
+            two[:, 0] * count + two[:, 1], np.concatenate([p.pair_costs[apart], p.triple_costs[spans_two]])
+        )
+        edge = np.sort(part[p.edges], axis=1)
+        touching = np.unique(edge[:, 0] * count + edge[:, 1])
+        near = np.isin(keys, touching)
+        # Three parts none of which gains by joining one other: their triples may be worth all three joins.
+        three = triple[new.all(0)]
+        triple_keys, of_three = _sums(
+            (three[:, 0] * count + three[:, 1]) * count + three[:, 2], p.triple_costs[new.all(0)]
+        )
+        three = np.stack([triple_keys // count**2, triple_keys // count % count, triple_keys % count], axis=1)
+        sides = [three[:, i] * count + three[:, j] for i, j in ((0, 1), (1, 2), (0, 2))]
+        connected = sum(np.isin(side, touching).astype(int) for side in sides) >= 2
+        for side in sides:
+            of_three = of_three + _look_up(keys, of_two, side)
+        groups = np.stack([keys // count, keys % count, keys % count], axis=1)[near]
+        return np.concatenate([groups, three[connected]]), np.concatenate([of_two[near], of_three[connected]])
 
     def _move(self, labels: Ints) -> bool:
         """Move single nodes to a neighbouring part, or to one of their own."""
@@ -166,6 +178,20 @@ class _Search:
                 self.triple_others[self.triple_starts[node] : self.triple_starts[node + 1]].ravel(),
             ]
         )
+
+
+def _sums(keys: Ints, values: Floats) -> tuple[Ints, Floats]:
+    """The sum of the values of each key, by rising key."""
+    unique, index = np.unique(keys, return_inverse=True)
+    return unique, np.asarray(np.bincount(index, weights=values, minlength=len(unique)), dtype=np.float64)
+
+
+def _look_up(keys: Ints, values: Floats, wanted: Ints) -> Floats:
+    """Values of wanted keys, 0 for those that are not there."""
+    if not len(keys):
+        return np.zeros(len(wanted))
+    at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+    return np.where(keys[at] == wanted, values[at], 0.0)
 
 
 def _by_node(count: int, pairs: Ints, swap: tuple[int, int], *values: Floats) -> tuple[Ints, tuple[NDArray[Any], ...]]:
