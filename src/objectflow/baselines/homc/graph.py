@@ -32,6 +32,9 @@ def build_problem(tracks: Tracks, lab: Floats, frame: int, sampling: int, settin
         settings: of the costs.
     """
     at = tracks.positions[:, frame].astype(np.float64)
+    if len(at) < 2:
+        nothing = np.zeros((0, 2), np.int64)
+        return Problem(len(at), nothing, nothing, np.zeros(0), np.zeros((0, 3), np.int64), np.zeros(0))
     tree = cKDTree(at)
     edges, lifted = _edges(at, tree), _lifted(at, tree, sampling)
     pairs = _unique(np.concatenate([edges, lifted]))

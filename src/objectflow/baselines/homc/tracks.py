@@ -90,7 +90,7 @@ def _flow(image: Color, following: Color) -> tuple[Floats, NDArray[np.bool_], Fl
         ]
     )
     # The third smallest of eight: at the corner of a surface three neighbours still lie on it.
-    du, dv = np.gradient(flow, axis=1), np.gradient(flow, axis=0)
+    du, dv = np.diff(flow, axis=1, append=flow[:, -1:]), np.diff(flow, axis=0, append=flow[-1:])
     change = np.square(du).sum(-1) + np.square(dv).sum(-1)
     # Sundaram et al., equation 6: there the flow is a mixture of two motions.
     consistent &= change < 0.01 * np.square(flow).sum(-1) + 0.002
