@@ -38,7 +38,7 @@ class TrackerSettings:
         history: poses that are kept of each track, and of the camera; None keeps all, and tracks that ended too.
     """
 
-    min_overlap: float = 0.2
+    min_overlap: float = 0.1
     max_gap: float = 0.1
     min_score: float = 0.3
     coast: int = 3
