@@ -105,7 +105,7 @@ def test_a_thing_that_rests_keeps_its_id_when_it_moves_on() -> None:
 
 
 def test_a_thing_hidden_while_it_moves_is_looked_for_further_on() -> None:
-    where = [(-0.35 + 0.1 * t, 0.0) for t in range(8)]
+    where = [(-0.38 + 0.12 * t, 0.0) for t in range(8)]
     results = {}
     for coast in (0, 3):
         tracker = Tracker(TrackerSettings(coast=coast))
