@@ -20,7 +20,7 @@ from objectflow.view.colors import Rgb
 
 WIDTH, HEIGHT = 760, 560
 """Pixels of a panel."""
-_LEFT, _RIGHT, _TOP, _BOTTOM = 92, 24, 66, 74
+_LEFT, _RIGHT, _TOP, _BOTTOM = 92, 48, 66, 74
 _INK, _GRID, _BLUE, _RED, _GREY = (40, 40, 40), (225, 225, 225), (31, 90, 180), (200, 50, 40), (140, 140, 140)
 _SMOOTH = 0.04
 """Share of the run over which the training loss is averaged for the strong line."""
