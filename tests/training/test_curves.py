@@ -39,7 +39,7 @@ def test_a_straight_line_lies_where_its_numbers_say() -> None:
     # Equal steps to the right are equal steps upward; the axis ends at 1.08 of the largest value.
     np.testing.assert_allclose(np.diff(ends), np.diff(ends)[0], atol=1.0)
     slope = -np.diff(ends)[0] / 150
-    plot_height, plot_width = HEIGHT - 66 - 74, WIDTH - 92 - 24
+    plot_height, plot_width = HEIGHT - 66 - 74, WIDTH - 92 - 48
     np.testing.assert_allclose(slope, plot_height / 1.08 / plot_width, rtol=0.02)
 
 
