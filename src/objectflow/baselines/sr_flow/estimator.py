@@ -10,8 +10,8 @@ What differs from the authors' program, and why:
 - Twists turn about the mean point of the scene and rotations count as displacements at an arm of 10 cm, where the
   program turns about the camera and loosens rotations by a factor of 1000. There every sideways step passed for a
   rotation about the camera, free of charge, and the minimum of the energy is a rotation field without features.
-- alpha is 1, not 10, in this energy: 10 holds motions of less than a centimetre at zero. The figures are in
-  docs/baselines.md.
+- alpha is 1, not 10, in this energy: 10 holds motions of less than a centimetre back;
+  `benchmarks/small_motions.py` compares the two.
 - Gauss-Newton steps are damped and undone where they raise the energy, outliers pay a constant and not nothing, and
   the dual of the smoothing is kept between alternations. So the energy falls at every alternation.
 - The rigid motion is found without the local field, whose smooth part would take its place bit by bit.
@@ -34,6 +34,7 @@ from objectflow.baselines.sr_flow import local, twists
 from objectflow.baselines.sr_flow.pyramid import CENTIMETRES, build_pyramid
 from objectflow.baselines.sr_flow.residuals import Weights
 from objectflow.baselines.sr_flow.rigid import apply_rigid, solve_rigid
+from objectflow.devices import find_device
 from objectflow.errors import MethodError
 from objectflow.estimator import check_camera_option
 from objectflow.frame import RgbdFrame, check_pair
@@ -68,7 +69,7 @@ class SRFlow:
     Attributes:
         camera: "moving" asks for the semi-rigid mode; otherwise a camera's motion is simply part of the flow.
         mode: "non-rigid" (a twist a pixel), "rigid" (one motion for all), "semi-rigid" (both) or "auto" (by `camera`).
-        device: where to compute, "cpu" or "cuda".
+        device: where to compute: "auto", "cpu", "cuda" or "cuda:N".
         width: pixels; wider pictures are worked on at this width.
         levels: of the pyramid.
         alternations, steps, smoothing_steps, rigid_steps: iterations on each level.
@@ -81,7 +82,7 @@ class SRFlow:
 
     camera: str = "auto"
     mode: str = "auto"
-    device: str = "cpu"
+    device: str = "auto"
     width: int = 320
     levels: int = 3
     alternations: int = 5
@@ -107,15 +108,16 @@ class SRFlow:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e6:
                 raise MethodError(f"{name} must be a positive number, not {value!r}")
-        if self.device != "cpu" and not (self.device.split(":")[0] == "cuda" and torch.cuda.is_available()):
-            raise MethodError(f"device must be cpu, or cuda where there is one, not {self.device!r}")
+        find_device(self.device)
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
         start = time.perf_counter()
         check_pair(prev, curr)
         solution = self.solve(prev, curr)
-        points = torch.from_numpy(geometry.back_project(curr.depth, curr.camera)).to(self.device).movedim(-1, 0)[None]
+        points = (
+            torch.from_numpy(geometry.back_project(curr.depth, curr.camera)).to(solution.twist).movedim(-1, 0)[None]
+        )
         twist = functional.interpolate(solution.twist, points.shape[2:], mode="bilinear")
         arm = points * CENTIMETRES - solution.pivot
         rigid = solution.motion.to(arm.dtype)
@@ -135,8 +137,9 @@ class SRFlow:
         width = min(self.width, curr.camera.width)
         height = max(1, round(curr.camera.height * width / curr.camera.width))
         prev, curr = prev.resized(width, height), curr.resized(width, height)
-        intrinsics = torch_geometry.intrinsics(curr.camera)[None].to(self.device)
-        return self.solve_tensors(self._tensors(curr), self._tensors(prev), intrinsics)
+        device = find_device(self.device)
+        intrinsics = torch_geometry.intrinsics(curr.camera)[None].to(device)
+        return self.solve_tensors(_tensors(curr, device), _tensors(prev, device), intrinsics)
 
     @torch.no_grad()
     def solve_tensors(self, curr: tuple[Tensor, Tensor], prev: tuple[Tensor, Tensor], intrinsics: Tensor) -> Solution:
@@ -175,9 +178,10 @@ class SRFlow:
             arm=self.arm,
         )
 
-    def _tensors(self, frame: RgbdFrame) -> tuple[Tensor, Tensor]:
-        color = torch.from_numpy(frame.color).to(self.device).movedim(-1, 0)[None].float() / 255
-        return color, torch.from_numpy(frame.depth).to(self.device)[None, None]
+
+def _tensors(frame: RgbdFrame, device: torch.device) -> tuple[Tensor, Tensor]:
+    color = torch.from_numpy(frame.color).to(device).movedim(-1, 0)[None].float() / 255
+    return color, torch.from_numpy(frame.depth).to(device)[None, None]
 
 
 def _camera_motion(solution: Solution) -> NDArray[np.float64]:
