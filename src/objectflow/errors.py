@@ -43,6 +43,10 @@ class MissingExtraError(ObjectflowError):
     """A library of an optional extra is not installed; the message names the extra."""
 
 
+class ViewerError(ObjectflowError):
+    """A viewer that cannot be opened here: no display, no free port."""
+
+
 class StorageError(ObjectflowError):
     """The disk refused: no room, no permission, a read-only file system."""
 

@@ -47,6 +47,7 @@ VERBS: dict[str, VerbEntry] = {
     "generate": VerbEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
     "check": VerbEntry("verify a data set and say what is in it", "objectflow.cli.check", "Check"),
     "show": VerbEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
+    "view": VerbEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
     "check-pair": VerbEntry(
         "what may be wrong with two frames, in plain words", "objectflow.cli.check_pair", "CheckPair"
     ),

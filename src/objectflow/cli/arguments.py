@@ -11,6 +11,7 @@ import tyro
 from objectflow.errors import ReaderError
 from objectflow.estimator import DEFAULT_METHOD, Estimator, load
 from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
+from objectflow.view.viewer import Viewer, open_viewer
 
 
 def option(metavar: str, default: str = "") -> Any:
@@ -66,6 +67,21 @@ class MethodArguments(CameraArguments):
     def estimator(self) -> Estimator:
         """The method, ready to be called."""
         return load(self.method, **self.method_options())
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewArguments:
+    """Whether to show what is found while it is found."""
+
+    view: bool = False
+    """Show it in rerun's window (extra `view`)."""
+
+    save_view: Annotated[Path | None, option("FILE.rrd", "not saved")] = None
+    """Save what the viewer shows; `rerun FILE.rrd` opens it."""
+
+    def viewer(self, title: str) -> Viewer:
+        """The viewer that was asked for; one that does nothing if none was."""
+        return open_viewer(title, window=self.view, save=self.save_view)
 
 
 def open_two(paths: tuple[Path, ...], options: CameraOptions) -> FrameSequence:

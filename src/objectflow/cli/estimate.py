@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import MethodArguments, open_two, option
+from objectflow.cli.arguments import MethodArguments, ViewArguments, open_two, option
 from objectflow.cli.output import new_result, print_objects, quiet_libraries, write_result
 from objectflow.frame import check_pair
+from objectflow.view.moments import pair_moments
 
 EXAMPLES = """\
   objectflow estimate PAIR_DIR
   objectflow estimate PAIR_DIR --camera moving --out result
+  objectflow estimate PAIR_DIR --view
   objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240
   objectflow estimate color0.png depth0.png color1.png depth1.png --camera-file camera.json --depth-scale 5000
   objectflow estimate PAIR_DIR --method sceneflownet-c-vl --weights FILE --rigid average
@@ -22,7 +25,7 @@ EXAMPLES = """\
 
 
 @dataclass(frozen=True)
-class Estimate(MethodArguments):
+class Estimate(ViewArguments, MethodArguments):
     """Find the moving objects, their motions and the scene flow between two RGB-D frames.
 
     Writes labels.png, scene_flow.npy, objects.json, overlay.png and flow.png.
@@ -37,8 +40,9 @@ class Estimate(MethodArguments):
         with quiet_libraries():
             prev, curr = open_two(self.paths, self.camera_options())
         check_pair(prev, curr)
-        with new_result(self.out) as (folder, path):
+        with self.viewer(self.paths[0].stem) as viewer, new_result(self.out) as (folder, path):
             motion = estimator(prev, curr)
             write_result(folder, curr, motion)
+            viewer.show(partial(pair_moments, prev, curr, motion))
         print_objects(motion)
         print(f"written to {path}")

@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,7 +14,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from objectflow import files, geometry
-from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.arguments import MethodArguments, ViewArguments, option
 from objectflow.cli.output import check_not_below_a_file, quiet_libraries
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
@@ -21,9 +22,11 @@ from objectflow.live import Latest, Step, follow, replay
 from objectflow.readers import open_source
 from objectflow.track_files import write_tracks
 from objectflow.tracking import Tracker, TrackerSettings
+from objectflow.view.moments import tracked_moments
 
 EXAMPLES = """\
   objectflow live realsense
+  objectflow live realsense --view
   objectflow live realsense --min-gap 0.5 --seconds 60 --out session
   objectflow live table.bag --method consensus
   objectflow live rgbd_dataset_freiburg1_desk --camera-file fr1 --speed 0.5
@@ -34,7 +37,7 @@ HISTORY = 100_000
 
 
 @dataclass(frozen=True)
-class Live(MethodArguments):
+class Live(ViewArguments, MethodArguments):
     """Follow objects between the newest frames, as fast as the method can; frames that come meanwhile are dropped.
 
     Prints a line an estimate: the objects' ids, speeds and turns. Ctrl-C ends it. With --out, trajectories are written
@@ -67,11 +70,16 @@ class Live(MethodArguments):
         steps: list[tuple[float, float, int]] = []
         with quiet_libraries():
             source = self._open()
-        with Latest(source) as latest, suppress(KeyboardInterrupt):
+        number = 0
+        with self.viewer(Path(self.source).stem) as viewer, Latest(source) as latest, suppress(KeyboardInterrupt):
             began: float | None = None
             for step in follow(latest, estimator, tracker, min_gap=self.min_gap):
                 began = step.times[0] if began is None else began
                 print(describe(step), flush=True)
+                numbers = (number, number := number + step.dropped + 1)
+                seconds = (step.times[0] - began, step.times[1] - began)
+                frames = (step.prev, step.curr)
+                viewer.show(partial(tracked_moments, tracker, step.tracks, frames, step.motion, numbers, seconds))
                 steps = [*steps[-999:], (step.latency, step.times[1] - step.times[0], step.dropped)]
                 if self.seconds is not None and step.times[1] - began >= self.seconds:
                     break

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +23,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow import __version__, files
-from objectflow.cli.arguments import MethodArguments, option
+from objectflow.cli.arguments import MethodArguments, ViewArguments, option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
 from objectflow.dataset.manifest import hash_file
 from objectflow.errors import ReaderError, ResultError, StorageError
@@ -32,12 +33,14 @@ from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource, open_source
 from objectflow.track_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.tracking import Tracker
+from objectflow.view.moments import RunMoments
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
   objectflow run recording --every 5 --camera moving --out result
   objectflow run recording --intrinsics 615 615 320 240 --depth-scale 1000
   objectflow run table.bag --dt 0.5
+  objectflow run table.bag --dt 0.5 --view
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
@@ -47,7 +50,7 @@ LONGEST_TABLE = 40
 
 
 @dataclass(frozen=True)
-class Run(MethodArguments):
+class Run(ViewArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: one result folder a pair, a table, and a trajectory an object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
@@ -82,23 +85,26 @@ class Run(MethodArguments):
         for warning in caught:
             print(f"note: {warning.message}")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
-        with _claim(out, self._settings(sequence, estimator)):
+        with self.viewer(self.source.stem) as viewer, _claim(out, self._settings(sequence, estimator)):
             if self.out is None:
                 link_latest(out)
             todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
             console = Console(stderr=True)
             with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
                 task = progress.add_task("pairs", total=len(pairs), completed=len(pairs) - len(todo))
-                last = None
-                for prev_index, curr_index in todo:
-                    with quiet_libraries():
-                        prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
-                        curr = sequence[curr_index]
-                    check_pair(prev, curr)
-                    with files.new_folder(out / _name((prev_index, curr_index))) as folder:
-                        write_result(folder, curr, estimator(prev, curr))
-                    last = (curr_index, curr)
-                    progress.advance(task)
+                last, shown = None, RunMoments(sequence)
+                for prev_index, curr_index in pairs:
+                    result = out / _name((prev_index, curr_index))
+                    if not result.is_dir():
+                        with quiet_libraries():
+                            prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
+                            curr = sequence[curr_index]
+                        check_pair(prev, curr)
+                        with files.new_folder(result) as folder:
+                            write_result(folder, curr, estimator(prev, curr))
+                        last = (curr_index, curr)
+                        progress.advance(task)
+                    viewer.show(partial(shown.read, result, prev_index, curr_index))
             with quiet_libraries():
                 count = _track(out, pairs, sequence)
             _summarise(out, pairs, skipped=len(pairs) - len(todo))

@@ -1,0 +1,118 @@
+"""`objectflow view` and `--save-view`: results, runs and data sets as .rrd files; one line for bad input."""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from objectflow.cli import main
+
+chunk = pytest.importorskip("rerun.chunk", reason="rerun is not installed (extra `view`)")
+
+ROOT = Path(str(resources.files("objectflow")))
+PAIR = ROOT / "demo" / "pair"
+TINY = ROOT / "evaluation" / "tiny"
+
+
+def frames_of(path: Path, entity: str = "/world/camera/color") -> list[int]:
+    """The frame numbers at which a recording has an entity."""
+    numbers: set[int] = set()
+    for one in chunk.RrdReader(str(path)).stream():
+        if one.entity_path == entity:
+            numbers |= set(one.to_record_batch().column("frame").to_pylist())
+    return sorted(numbers)
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    """Three small frames of a wall."""
+    rng = np.random.default_rng(3)
+    folder = tmp_path / "sequence"
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    for index in range(3):
+        cv2.imwrite(str(folder / "color" / f"{index}.png"), rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((48, 64), 1000, np.uint16))
+    camera = {"width": 64, "height": 48, "fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "depth_scale": 1000}
+    (folder / "camera.json").write_text(json.dumps(camera))
+    return folder
+
+
+def test_a_run_is_saved_as_it_goes_and_viewed_again(sequence: Path, tmp_path: Path) -> None:
+    out, while_running, later = tmp_path / "out", tmp_path / "a.rrd", tmp_path / "b.rrd"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    assert main([*command, "--save-view", str(while_running)]) == 0
+    assert frames_of(while_running) == [0, 1, 2]
+    assert main([*command, "--save-view", str(later)]) == 0  # all of it done before
+    assert frames_of(later) == [0, 1, 2]
+    assert main(["view", str(out), "--save", str(later)]) == 0
+    assert frames_of(later) == [0, 1, 2]
+    assert main(["view", str(out / "pair_000001_000002"), "--save", str(later)]) == 0
+    assert frames_of(later) == [1, 2]
+
+
+def test_a_moved_source_is_named_and_can_be_given(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, saved = tmp_path / "out", tmp_path / "a.rrd"
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
+    moved = sequence.rename(tmp_path / "moved")
+    capsys.readouterr()
+    assert main(["view", str(out), "--save", str(saved)]) == 2
+    assert "--frames SOURCE" in capsys.readouterr().err
+    assert main(["view", str(out), "--frames", str(moved), "--save", str(saved)]) == 0
+    assert frames_of(saved) == [0, 1, 2]
+
+
+def test_a_result_needs_its_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, saved = tmp_path / "out", tmp_path / "a.rrd"
+    command = ["estimate", str(PAIR), "--method", "zero", "--out", str(out), "--save-view", str(saved)]
+    assert main(command) == 0
+    assert frames_of(saved) == [0, 1]
+    capsys.readouterr()
+    assert main(["view", str(out), "--save", str(saved)]) == 2
+    error = capsys.readouterr().err
+    assert "--frames" in error
+    assert error.count("\n") == 1
+    assert main(["view", str(out), "--frames", str(PAIR), "--save", str(saved)]) == 0
+    assert frames_of(saved) == [0, 1]
+
+
+def test_a_data_set_shows_its_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    saved = tmp_path / "a.rrd"
+    assert main(["view", str(TINY), "--save", str(saved)]) == 0
+    assert frames_of(saved) == [0, 1]
+    entities = {one.entity_path for one in chunk.RrdReader(str(saved)).stream()}
+    assert any(path.startswith("/world/objects/") for path in entities)
+    assert main(["view", str(TINY), "--key", "nothing", "--save", str(saved)]) == 2
+    assert "no row 'nothing'" in capsys.readouterr().err
+
+
+def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "settings.json").write_text("[]")
+    (tmp_path / "broken" / "pair_000000_000001").mkdir()
+    for path, words, code in (
+        (tmp_path / "nowhere", "no such folder", 2),
+        (tmp_path / "empty", "nothing to view", 2),
+        (tmp_path / "broken", "not the settings of a run", 2),
+        (TINY, "cannot write", 1),
+    ):
+        assert main(["view", str(path), "--save", str(tmp_path / "no_folder" / "a.rrd")]) == code
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+
+
+def test_no_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    assert main(["view", str(TINY)]) == 2
+    assert "--web" in capsys.readouterr().err
