@@ -40,7 +40,9 @@ PORTS = (9090, 9876)
 SERVER_MEMORY = "2GiB"
 """Of the web viewer's server: the earliest frames go first."""
 
-NO_TRACK_COLOR = (173, 181, 189)
+NO_TRACK_COLOR = (173, 181, 189, 255)
+CLEAR = (0, 0, 0, 0)
+"""Of the static rest in the labels, so that the picture below keeps its colours."""
 CAMERA = "world/camera"
 
 
@@ -113,8 +115,8 @@ class RerunViewer:
         if not names and self._names:
             return
         self._names |= names
-        classes = [(0, "static", colors.NO_DEPTH), (NO_TRACK, NO_TRACK_NAME, NO_TRACK_COLOR)]
-        classes += [(number, name, colors.object_color(number)) for number, name in self._names.items()]
+        classes = [(0, "static", CLEAR), (NO_TRACK, NO_TRACK_NAME, NO_TRACK_COLOR)]
+        classes += [(number, name, (*colors.object_color(number), 255)) for number, name in self._names.items()]
         self._log("world", rr.AnnotationContext(classes), static=True)
         self._names.setdefault(NO_TRACK, NO_TRACK_NAME)
 
@@ -162,7 +164,7 @@ class RerunViewer:
                 vectors=np.array([way[1] - way[0] for _, way in moved]).reshape(-1, 3),
                 colors=[colors.object_color(obj.id) for obj, _ in moved],
                 labels=[f"{obj.name}: {obj.caption}" for obj, _ in moved],
-                radii=0.002,
+                radii=0.003,
             ),
         )
         # What is not seen at this time is not drawn.
