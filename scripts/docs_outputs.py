@@ -19,6 +19,8 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 BLOCK = re.compile(r"(?<=^```text\n)(\$ .*?)(?=^```$)", flags=re.DOTALL | re.MULTILINE)
 SHORT = "# all but what is fine"
 COLUMNS = "88"
+NOT_FOUND = 127
+"""What a shell returns for a command that it cannot find."""
 
 
 def main() -> None:
@@ -55,6 +57,8 @@ def output(line: str, folder: Path) -> list[str]:
     pipe, both = subprocess.PIPE, subprocess.STDOUT
     # Commands that fail are shown as they fail.
     done = subprocess.run(["bash", "-c", line], check=False, cwd=folder, env=environment, stdout=pipe, stderr=both)
+    if done.returncode == NOT_FOUND:
+        raise SystemExit(f"{line!r} cannot be run: activate the environment that objectflow is installed in")
     lines = [one.rstrip() for one in done.stdout.decode().strip("\n").splitlines()]
     return without_fine(lines) if line.endswith(SHORT) else lines
 
