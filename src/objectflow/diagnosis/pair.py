@@ -98,7 +98,8 @@ def _crossed(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
     crossed = _alignment_within(prev, curr, changed) + _alignment_within(curr, prev, changed)
     if np.isfinite(straight) and np.isfinite(crossed) and crossed > 1.25 * straight:
         text = (
-            "colour fits the other frame's depth better than its own: are color0 and color1, or the depths, swapped?"
+            "colour fits the other frame's depth better than its own: are color0 and color1, or the depths, swapped, "
+            "or does depth lag behind colour?"
         )
         return Finding("crossed", "suspicious", text)
     return Finding("crossed", "fine", "colour fits its own depth")
