@@ -33,10 +33,12 @@ def _frames(height: int, width: int, batch: int = 2) -> list[Tensor]:
     return frames
 
 
-@pytest.mark.parametrize("correlation", [True, False])
+@pytest.mark.parametrize(("correlation", "details"), [(True, False), (False, False), (True, True), (False, True)])
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (33, 50), (8, 8)])
-def test_maps_have_the_inputs_size_and_every_weight_learns(correlation: bool, height: int, width: int) -> None:
-    network = _network(correlation=correlation)
+def test_maps_have_the_inputs_size_and_every_weight_learns(
+    correlation: bool, details: bool, height: int, width: int
+) -> None:
+    network = _network(correlation=correlation, details=details)
     for parameter in network.parameters():  # blocks start as their shortcuts: wake the rest
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
@@ -65,6 +67,36 @@ def test_default_is_the_papers_size() -> None:
     assert network.color_encoder.project.out_channels == 256
     strides = [layer.stride[0] for layer in network.shape_encoder if isinstance(layer, torch.nn.Conv2d)]
     assert strides == [1, 1, 2, 1, 1, 2, 1, 1, 2]
+
+
+def test_a_detail_reaches_its_surroundings_alone() -> None:
+    """The finest link lets a single pixel through, which stride 8 cannot resolve."""
+    generator = torch.Generator().manual_seed(2)
+    network = _network(details=True)
+    features = torch.rand(1, 3 * SMALL.shape_stages[-1][-1], 6, 8, generator=generator)
+    details = [torch.rand(1, 7, 48 // step, 64 // step, generator=generator) for step in (4, 2, 1)]
+    changed = [*details[:2], details[2].clone()]
+    changed[2][:, :, 21, 33] += 1
+    with torch.no_grad():
+        off = (network.hourglass(features, details) - network.hourglass(features, changed)).abs().sum(1)[0]
+    reach = len(SMALL.fine[-1])  # the link's 3x3, and one for every layer after the first
+    around = off[21 - reach : 22 + reach, 33 - reach : 34 + reach]
+    assert float(around.max()) > 0
+    assert float(off.sum()) == pytest.approx(float(around.sum()))
+
+
+def test_the_correlation_comes_with_the_maps() -> None:
+    network = _network().eval()
+    frames = _frames(48, 64)
+    with torch.no_grad():
+        maps, correlation = network.predict(*frames)
+        torch.testing.assert_close(maps, network(*frames))
+        assert correlation.shape == (2, 25, 6, 8)
+        looks = network.color_encoder(torch.cat([frames[2], frames[0]])).chunk(2)
+        # Displacement (1, -2): cell (3, 4) of the current frame with cell (4, 2) of the previous one.
+        expected = (looks[0][:, :, 3, 4] * looks[1][:, :, 4, 2]).sum(1)
+    torch.testing.assert_close(correlation[:, (1 + 2) * 5 + (-2 + 2), 3, 4], expected)
+    assert _network(correlation=False).predict(*frames)[1] is None
 
 
 def test_padding_does_not_depend_on_who_pads() -> None:

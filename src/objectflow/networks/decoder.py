@@ -13,6 +13,9 @@ from torch import Tensor, nn
 from objectflow.networks.outputs import DenseMotion
 from objectflow.networks.settings import NetworkSettings, Widths
 
+FRAME_CHANNELS = 7
+"""Of a frame as it is linked to fine stages: colour, point, and whether there is one."""
+
 
 class Doubling(nn.ConvTranspose2d):
     """5x5 transposed convolution with stride 2, to an exact size: 2 n or 2 n - 1 (15 cells halve to 8)."""
@@ -64,20 +67,20 @@ class Hourglass(nn.Module):
             inputs = widths[-1]
         self.fine = nn.ModuleList()
         for widths in settings.fine:
-            self.fine.append(Rise(inputs, widths, None))
+            self.fine.append(Rise(inputs, widths, FRAME_CHANNELS if settings.details else None))
             inputs = widths[-1]
         self.channels = inputs
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Features at the input's resolution."""
+    def forward(self, x: Tensor, details: Sequence[Tensor] = ()) -> Tensor:
+        """Features at the input's resolution; `details`, if settings ask for them, are frames at strides 4, 2, 1."""
         skips = []
         for stage in self.down:
             x = stage(x)
             skips.append(x)
         for stage, skip in zip(self.up, reversed(skips[:-1]), strict=True):
             x = stage(x, skip)
-        for stage in self.fine:
-            x = stage(x)
+        for stage, detail in zip(self.fine, details or (None,) * len(self.fine), strict=True):
+            x = stage(x, detail)
         return x
 
 

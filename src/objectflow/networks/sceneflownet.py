@@ -71,28 +71,45 @@ class SceneFlowNet(nn.Module):
         Returns:
             Maps at (H, W), whatever H and W are.
         """
+        return self.predict(prev_color, prev_points, curr_color, curr_points)[0]
+
+    def predict(
+        self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
+    ) -> tuple[DenseMotion, Tensor | None]:
+        """`forward`, and the correlation (B, (2 L + 1)^2, H / 8, W / 8) as `correlate` orders it; None for OurS."""
         height, width = curr_color.shape[-2:]
         prev_shape, curr_shape = _with_validity(prev_points), _with_validity(curr_points)
         images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
-        features = self._encode(*images)
-        maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features))))
+        features, correlation = self._encode(*images)
+        details = _pyramid(images[2], images[3]) if self.settings.details else ()
+        maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features, details))))
         # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
-        return maps._replace(center=maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:]))
+        maps = maps._replace(center=maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:]))
+        return maps, correlation
 
-    def _encode(self, prev_color: Tensor, prev_shape: Tensor, curr_color: Tensor, curr_shape: Tensor) -> Tensor:
-        """Features at stride 8 for the hourglass."""
+    def _encode(
+        self, prev_color: Tensor, prev_shape: Tensor, curr_color: Tensor, curr_shape: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Features at stride 8 for the hourglass, and the correlation."""
         if self.color_encoder is None:
-            out: Tensor = self.shape_encoder(torch.cat([curr_color, prev_color, curr_shape, prev_shape], dim=1))
-            return out
+            return self.shape_encoder(torch.cat([curr_color, prev_color, curr_shape, prev_shape], dim=1)), None
         # Siamese: both frames in one batch.
         curr_look, prev_look = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
         curr_form, prev_form = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
         reach = self.settings.reach
-        weights = torch.relu(correlate(curr_look, prev_look, reach))
+        correlation = correlate(curr_look, prev_look, reach)
         if self.settings.correlation_mean:
-            weights = weights / curr_look.shape[1]
-        matched_form = weighted_max_pool(weights, prev_form, reach)
-        return torch.cat([curr_form, prev_form, matched_form], dim=1)
+            correlation = correlation / curr_look.shape[1]
+        matched_form = weighted_max_pool(torch.relu(correlation), prev_form, reach)
+        return torch.cat([curr_form, prev_form, matched_form], dim=1), correlation
+
+
+def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:
+    """The frame at strides 4, 2 and 1: mean colours, but single points, since means would lie between surfaces."""
+    return [
+        torch.cat([F.avg_pool2d(color, step) if step > 1 else color, shape[..., ::step, ::step]], dim=1)
+        for step in (4, 2, 1)
+    ]
 
 
 def _with_validity(points: Tensor) -> Tensor:

@@ -44,6 +44,9 @@ class NetworkSettings:
     """Layers on its way up; the first of a stage doubles the size and receives the skip link."""
     fine: Stages = ((64, 64, 64, 64), (64, 64, 64, 64), (64, 64, 64))
     """Layers from stride 8 to the input's resolution; the first of a stage doubles the size. Three stages."""
+    details: bool = False
+    """Show every stage of `fine` the current frame at its own resolution, by a skip link; the paper has none. Edges
+    come out sharper, and X, an offset from the pixel's own point, need not be drawn from stride 8."""
 
     def __post_init__(self) -> None:
         for name in ("trunk_width", "color_channels"):

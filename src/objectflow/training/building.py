@@ -11,10 +11,22 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from objectflow.networks import SceneFlowNet
+from objectflow.networks import DenseMotion, SceneFlowNet
 from objectflow.networks.weights import load_weights
 from objectflow.training.parallel import Process, normalised_together
 from objectflow.training.recipe import Recipe
+
+
+class WithCorrelation(nn.Module):
+    """A network as training calls it: maps, and the correlation that the match loss judges."""
+
+    def __init__(self, network: SceneFlowNet) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, *images: Tensor) -> tuple[DenseMotion, Tensor | None]:
+        """See `SceneFlowNet.predict`."""
+        return self.network.predict(*images)
 
 
 def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> SceneFlowNet:
@@ -72,7 +84,7 @@ def compiled(
     """The network compiled and tried forward and backward, or as it is where that fails.
 
     Args:
-        network: without wrappers; its weights, running statistics and gradients are left as they were.
+        network: as training calls it; its weights, running statistics and gradients are left as they were.
         recipe: whether, and with what precision.
         images: the network's arguments, of the sizes that training has.
         device: theirs.
@@ -85,8 +97,9 @@ def compiled(
     try:
         candidate = torch.compile(network)
         with precision(recipe, device):
-            maps = candidate(*images)
-        sum(one.float().square().mean() for one in maps).backward()
+            maps, correlation = candidate(*images)
+        parts = [*maps] if correlation is None else [*maps, correlation]
+        sum(one.float().square().mean() for one in parts).backward()
         out = candidate
     except Exception as error:
         reason = (str(error).splitlines() or [""])[0]

@@ -23,7 +23,7 @@ from objectflow.errors import TrainingError
 from objectflow.networks import SceneFlowNet
 from objectflow.networks.weights import save_weights
 from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import build_network, build_optimizer, compiled, precision
+from objectflow.training.building import WithCorrelation, build_network, build_optimizer, compiled, precision
 from objectflow.training.checkpoint import Position, checkpoints, load_checkpoint, save_checkpoint
 from objectflow.training.curves import write_curve
 from objectflow.training.feeding import on_device
@@ -153,7 +153,7 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
     with stopping.kept_from_children():
         first = next(feed)  # starts the processes that read
     trial = prepare(first, recipe, step_generator(recipe.seed, run.position.step, process.rank, device))
-    forward = process.shared(compiled(run.network, recipe, trial.images, device, run.watch.note))
+    forward = process.shared(compiled(WithCorrelation(run.network), recipe, trial.images, device, run.watch.note))
     parameters = list(run.network.parameters())
     window = Window(process)
     before = run.position.seconds
@@ -164,11 +164,13 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
         for group in run.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(run.progress())
         generator = step_generator(recipe.seed, run.position.step, process.rank, device)
-        images, points, targets = prepare(batch, recipe, generator)
+        images, points, targets, matches = prepare(batch, recipe, generator)
         # 2. Forward in the recipe's precision, losses in float32.
         with precision(recipe, device):
-            output = forward(*images)
-        losses = compute_losses(output, targets, points, recipe.loss_settings)
+            output, correlation = forward(*images)
+        losses = compute_losses(
+            output, targets, points, recipe.loss_settings, correlation=correlation, matches=matches
+        )
         # 3. Backward and one step.
         run.optimizer.zero_grad(set_to_none=True)
         losses["total"].backward()  # type: ignore[no-untyped-call]

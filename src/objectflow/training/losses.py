@@ -19,6 +19,7 @@ from objectflow.dataset.targets import Targets
 from objectflow.errors import MethodError
 from objectflow.grouping import trajectory_feature
 from objectflow.networks.outputs import DenseMotion, scene_flow
+from objectflow.training.match_loss import match_loss
 
 _SLOTS = 256
 """Rows of any object table: labels are stored in 8 bits. A fixed number spares a GPU the wait for the true one."""
@@ -58,6 +59,10 @@ class LossSettings:
     """With L_var and L_vio, the paper's +vL. Otherwise neither is computed."""
     squared: bool = False
     """Square the differences of Q, T, X, S, B and xi, as the authors' code does; their text says L2-norm."""
+    match: float = 0.0
+    """Not in the paper: cross entropy of the correlation over its patch and "not there", against the true match of
+    each foreground cell. It tells colour features at once what they are for; without it they have to learn that
+    through the max-pool and the hourglass."""
     rotation_weight: float = 0.0
     """Metres a radian: rotation joins xi with this weight. The grouping and the targets' B need the same value."""
 
@@ -71,7 +76,13 @@ class LossSettings:
 
 
 def compute_losses(
-    output: DenseMotion, targets: Targets, points: Tensor, settings: LossSettings | None = None
+    output: DenseMotion,
+    targets: Targets,
+    points: Tensor,
+    settings: LossSettings | None = None,
+    *,
+    correlation: Tensor | None = None,
+    matches: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Every term of the loss, and their weighted sum.
 
@@ -84,6 +95,8 @@ def compute_losses(
         targets: from `make_targets`, with the same rotation weight.
         points: (B, 3, H, W) metres, the current frame's exact points; NaN or z <= 0 where depth is missing.
         settings: the paper's when None.
+        correlation: from `SceneFlowNet.predict`, for the match term, which is left out without it.
+        matches: (B, 2, H, W) from `previous_pixels`, likewise.
 
     Returns:
         Scalars without gradient, unweighted, named as the weights of `LossSettings` (without "variance" and
@@ -93,6 +106,8 @@ def compute_losses(
     with torch.autocast(points.device.type, enabled=False):
         output = DenseMotion(*(one.float() for one in output))
         terms = _terms(output, targets, points.float(), settings)
+        if settings.match > 0 and correlation is not None and matches is not None:
+            terms["match"] = match_loss(correlation.float(), matches, targets.mask & (points[:, 2] > 0))
         total = torch.stack([getattr(settings, name) * term for name, term in terms.items()]).sum()
     return {**{name: term.detach() for name, term in terms.items()}, "total": total}
 

@@ -166,12 +166,14 @@ _NARROW = dataclasses.replace(
     trunk_blocks=(1, 2),
     color_channels=64,
     fine=((32, 32), (24, 24), (16, 16)),
+    reach=6,
+    details=True,
 )
-"""Half the widths, and less where images are large: 0.56 s of CPU time a step at 120x160 with a batch of 8."""
+"""Half the widths, and less where images are large; the patch spans 48 pixels each way, of 160."""
 
-_MASK_FIRST = LossSettings(mask=10.0, centrality=4.0)
-"""With the paper's weights, T's share of the gradient drowns the mask's for the first thousand steps of a short run:
-docs/train.md has the numbers."""
+_FAST = LossSettings(mask=10.0, centrality=4.0, rotation=1.0, center=30.0, flow=30.0, radius=10.0, match=1.0)
+"""With the paper's weights, T's share of the gradient drowns the mask's for the first thousand steps of a short run,
+and all others' for longer: docs/training.md has the numbers."""
 
 RECIPES: dict[str, Recipe] = {
     "paper": Recipe(augment=AugmentSettings.nothing()),
@@ -191,7 +193,8 @@ RECIPES: dict[str, Recipe] = {
         validate_every=1000,
         validation_pairs=192,
         workers=12,
-        loss=_MASK_FIRST,
+        network=dataclasses.replace(NetworkSettings(), details=True),
+        loss=_FAST,
     ),
     "cpu": Recipe(
         size=(120, 160),
@@ -209,7 +212,7 @@ RECIPES: dict[str, Recipe] = {
         validation_pairs=64,
         workers=0,
         network=_NARROW,
-        loss=_MASK_FIRST,
+        loss=_FAST,
     ),
 }
 """By name: the paper's, one for a GPU, one for two CPU cores."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from objectflow.dataset.augment import augment, network_inputs
 from objectflow.dataset.batches import Batch
+from objectflow.dataset.matches import previous_pixels
 from objectflow.dataset.targets import Targets, make_targets
 from objectflow.training.recipe import Recipe
 
@@ -21,11 +22,13 @@ class Prepared(NamedTuple):
         images: the network's four arguments.
         points: (B, 3, H, W) metres, the current frame's exact points; NaN where depth is missing.
         targets: made from them.
+        matches: (B, 2, H, W) column and row of each point in the previous image, NaN where it cannot be seen there.
     """
 
     images: tuple[Tensor, Tensor, Tensor, Tensor]
     points: Tensor
     targets: Targets
+    matches: Tensor
 
 
 def step_generator(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
@@ -52,4 +55,5 @@ def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> 
     if recipe.channels_last:
         a, b, c, d = (image.contiguous(memory_format=torch.channels_last) for image in images)
         images = (a, b, c, d)
-    return Prepared(images, seen.exact_points, targets)
+    matches = previous_pixels(seen.exact_points, targets.flow, batch.prev_depth, batch.intrinsics)
+    return Prepared(images, seen.exact_points, targets, matches)

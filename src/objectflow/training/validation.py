@@ -78,8 +78,15 @@ def validate(network: SceneFlowNet, batches: Iterable[Batch], recipe: Recipe, pr
             for batch in batches:
                 prepared = prepare(batch.to(process.device), recipe, None)
                 with precision(recipe, process.device):
-                    output = network(*prepared.images)
-                losses = compute_losses(output, prepared.targets, prepared.points, recipe.loss_settings)
+                    output, correlation = network.predict(*prepared.images)
+                losses = compute_losses(
+                    output,
+                    prepared.targets,
+                    prepared.points,
+                    recipe.loss_settings,
+                    correlation=correlation,
+                    matches=prepared.matches,
+                )
                 for name, value in losses.items():
                     sums[f"loss.{name}"] += float(value) * len(batch)
                 for index in range(len(batch)):
