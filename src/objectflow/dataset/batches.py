@@ -34,7 +34,8 @@ class Batch:
         prev_depth, curr_depth: (B, H, W) float32, planar z in metres, 0 where missing.
         prev_labels, curr_labels: (B, H, W) int32, 0 = background.
         intrinsics: (B, 4) float32: fx, fy, cx, cy in pixels, of both frames.
-        table: the objects.
+        table: the objects; where rows know the camera's motion, those that move.
+        camera_motion: (B, 4, 4) float32, metres: `prev_T_curr` of everything that stands still; None = the identity.
     """
 
     keys: tuple[str, ...]
@@ -46,11 +47,14 @@ class Batch:
     curr_labels: Tensor
     intrinsics: Tensor
     table: ObjectTable
+    camera_motion: Tensor | None = None
 
     def to(self, device: torch.device | str) -> Batch:
         """The batch on another device."""
-        names = [field.name for field in fields(self) if field.name not in ("keys", "table")]
-        moved = {name: getattr(self, name).to(device, non_blocking=True) for name in names}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        moved: dict[str, Any] = {
+            name: value.to(device, non_blocking=True) for name, value in values.items() if isinstance(value, Tensor)
+        }
         return replace(self, table=self.table.to(device), **moved)
 
     def __len__(self) -> int:
@@ -228,6 +232,7 @@ def _unpack(keys: tuple[str, ...], records: Records) -> Batch:
         curr_labels=torch.from_numpy(records["curr_labels"].astype(np.int32)),
         intrinsics=_tensor(records["intrinsics"]),
         table=table,
+        camera_motion=_tensor(records["camera_motion"]),
     )
 
 

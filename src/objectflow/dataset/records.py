@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from objectflow.dataset.movers import keep_labels, without_still
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import Shards
 from objectflow.errors import CameraError, DatasetError
@@ -33,7 +34,7 @@ def record_type(height: int, width: int) -> np.dtype[Any]:
     """The bytes of one pair: images as stored, depth in its row's units."""
     return np.dtype(
         [("filled", "u1"), ("count", "i4"), ("intrinsics", "f4", (4,)), ("depth_scale", "f4")]
-        + [("objects", "f4", (MOST_OBJECTS, OBJECT_NUMBERS))]
+        + [("objects", "f4", (MOST_OBJECTS, OBJECT_NUMBERS)), ("camera_motion", "f4", (4, 4))]
         + [(name, "u1", (height, width, 3)) for name in _IMAGES[:2]]
         + [(name, "u2", (height, width)) for name in _IMAGES[2:4]]
         + [(name, "u1", (height, width)) for name in _IMAGES[4:]]
@@ -121,13 +122,17 @@ def _fill(record: Records, columns: Mapping[str, Any], where: str, exact: bool) 
         camera = stored.scaled(width, height)
         record["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
         record["depth_scale"] = columns["camera"]["depth_scale"]
+        objects = without_still(columns)
+        kept = {int(entry["label"]) for entry in objects}
         for name in _IMAGES:
             image = _decode(columns[name], stored)
+            if len(objects) < len(columns["objects"]) and name.endswith("labels"):
+                image = keep_labels(image, kept)
             if name.endswith("color"):
                 record[name] = _resized_color(image, width, height)[..., ::-1]
             else:
                 record[name] = _nearest(image, width, height)
-        objects = columns["objects"]
+        record["camera_motion"] = np.reshape(columns.get("camera_motion") or np.eye(4), (4, 4))
         record["filled"], record["count"] = 0, len(objects)
         for k, entry in enumerate(objects):
             vectors = (entry["center"], entry["translation"], entry["rotation_vector"])

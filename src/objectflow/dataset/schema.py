@@ -130,6 +130,9 @@ class PairRow:
         prev, curr: the frames.
         prev_labels, curr_labels: (H, W) int32, 0 = background.
         objects: in order of label.
+        camera_motion: (4, 4) `prev_T_curr` of everything that stands still, the identity before a camera that does
+            too. Where it is given, objects that move with it are background (see `objectflow.dataset.movers`); None,
+            as in the paper's data: the camera is still, and every object counts.
     """
 
     key: str
@@ -139,6 +142,7 @@ class PairRow:
     curr: RgbdFrame
     curr_labels: NDArray[np.int32]
     objects: tuple[PairObject, ...]
+    camera_motion: Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The row as Parquet holds it: images as PNG bytes."""
@@ -149,6 +153,7 @@ class PairRow:
             **_frame_columns(self.curr, self.curr_labels, "curr_"),
             "camera": _camera_to_dict(self.curr.camera),
             "objects": [obj.to_dict() for obj in self.objects],
+            **({} if self.camera_motion is None else {"camera_motion": self.camera_motion.ravel().tolist()}),
         }
 
     @classmethod
@@ -162,7 +167,8 @@ class PairRow:
             prev, prev_labels = _frame_from(row, "prev_")
             curr, curr_labels = _frame_from(row, "curr_")
             objects = tuple(PairObject.from_dict(entry) for entry in row["objects"])
-            return cls(str(row["key"]), str(row["scene"]), prev, prev_labels, curr, curr_labels, objects)
+            camera = None if row.get("camera_motion") is None else _pose(row["camera_motion"])
+            return cls(str(row["key"]), str(row["scene"]), prev, prev_labels, curr, curr_labels, objects, camera)
         except (KeyError, TypeError, ValueError, ObjectflowError) as error:
             raise DatasetError(f"{where}: not a row of pairs: {_reason(error)}") from error
 

@@ -40,7 +40,10 @@ def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metad
     Raises:
         StorageError: the disk refused; nothing is left behind.
     """
-    schema = _SCHEMAS[kind].with_metadata({METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()})
+    schema = _SCHEMAS[kind]
+    if any("camera_motion" in row for row in rows):
+        schema = schema.append(pa.field("camera_motion", _VECTOR))
+    schema = schema.with_metadata({METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()})
     buffer = io.BytesIO()
     pq.write_table(
         pa.Table.from_pylist(list(rows), schema=schema),

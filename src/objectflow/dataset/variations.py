@@ -41,6 +41,10 @@ def flip(batch: Batch, which: Tensor) -> Batch:
         rotation=batch.table.rotation * sign(1, -1, -1),
     )
     images: dict[str, Any] = {name: mirror(getattr(batch, name)) for name in _IMAGES}
+    if batch.camera_motion is not None:
+        signs = torch.tensor([-1.0, 1, 1, 1], device=which.device)
+        mirrored = signs[:, None] * batch.camera_motion * signs
+        images["camera_motion"] = torch.where(which[:, None, None], mirrored, batch.camera_motion)
     return replace(batch, intrinsics=torch.stack([fx, fy, cx, cy], 1), table=table, **images)
 
 
@@ -61,6 +65,8 @@ def swap(batch: Batch, which: Tensor) -> Batch:
         translation=choose(-old.translation, old.translation),
         rotation=choose(-old.rotation, old.rotation),
     )
+    if batch.camera_motion is not None:
+        images["camera_motion"] = choose(torch.linalg.inv(batch.camera_motion), batch.camera_motion)
     return replace(batch, table=table, **images)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
+from objectflow.dataset.movers import keep_labels, moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
@@ -116,13 +117,16 @@ def make_truth(
 def truth_of_row(row: PairRow) -> PairTruth:
     """The truth of a generated pair; rotations are those reduced by symmetry, as in the paper.
 
+    Where the row knows the camera's motion, objects that stand still are background, like everything else that does.
+
     Raises:
         DatasetError: a label without an object.
     """
+    kept, camera = moving_labels(row), row.camera_motion
     return make_truth(
         row.key,
         row.curr,
-        row.curr_labels,
+        row.curr_labels if camera is None else keep_labels(row.curr_labels, kept),
         [
             TrueObject(
                 label=obj.label,
@@ -133,8 +137,11 @@ def truth_of_row(row: PairRow) -> PairTruth:
                 in_both=obj.in_both,
             )
             for obj in row.objects
+            if obj.label in kept
         ],
+        background_prev_T_curr=None if camera is None or np.array_equal(camera, np.eye(4)) else camera,
         scene=row.scene,
+        moving=MOVING if camera is None else -1.0,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from objectflow.errors import DatasetError, MissingExtraError
 from objectflow.synth.model import ObjectModel
 from objectflow.synth.recording import FRAME, FRICTION, GRAVITY, SUBSTEPS
-from objectflow.synth.scene_data import Scene, SceneObject
+from objectflow.synth.scene_data import Scene, SceneObject, Slab
 from objectflow.synth.textures import TextureSpec, draw_texture
 
 FLOOR_HALF = 2.0
@@ -66,8 +67,11 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
     floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF, FLOOR_HALF, 0.1])
     _make_solid(floor)
     floor.group = VISIBLE_GROUP
+    floor.pos = [0, 0, scene.floor.height]
     if visible:
         floor.material = "floor"
+    for number, slab in enumerate(scene.slabs, 1):
+        _add_slab(mujoco, spec, number, slab, solid=solid, visible=visible)
     for number, (item, model) in enumerate(zip(scene.objects, models, strict=True), 1):
         body = spec.worldbody.add_body(name=f"obj_{number}", pos=item.position, quat=item.quaternion)
         body.add_freejoint()
@@ -96,6 +100,48 @@ def _make_solid(geom: Any) -> None:
     geom.group, geom.friction, geom.condim = SOLID_GROUP, [FRICTION, 0.005, 0.0001], 4
     # Twice the time step is as stiff as MuJoCo's contacts can be.
     geom.solref, geom.solimp = [2 * FRAME / SUBSTEPS, 1], [0.9, 0.98, 0.002, 0.5, 2]
+
+
+def _add_slab(mujoco: Any, spec: Any, number: int, slab: Slab, *, solid: bool, visible: bool) -> None:
+    """A box to collide with, and a mesh to be seen: rays know no other shapes than those of every other scene."""
+    place = {"pos": slab.center, "quat": [math.cos(slab.turn / 2), 0, 0, math.sin(slab.turn / 2)]}
+    if solid:
+        _make_solid(spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=slab.half, **place))
+    if not visible:
+        return
+    name, look = f"slab_{number}", slab.surface
+    vertices, faces, uv = box_mesh(slab.half)
+    spec.add_mesh(
+        name=name,
+        uservert=_flat(vertices),
+        userface=faces.ravel(),
+        usertexcoord=_flat(uv / look.tile),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    _add_material(mujoco, spec, name, draw_texture(look.texture, FLOOR_TEXTURE_SIZE), look.specular, look.shininess)
+    geom = spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP, **place
+    )
+    geom.contype = geom.conaffinity = 0
+
+
+def box_mesh(half: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+    """A box about the origin: (24, 3) vertices, (12, 3) faces that look outwards, (24, 2) metres along each side."""
+    vertices: list[NDArray[np.float64]] = []
+    faces: list[list[int]] = []
+    uv: list[tuple[float, float]] = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            first = len(vertices)
+            for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1)):
+                corner = np.zeros(3)
+                corner[axis], corner[u], corner[v] = sign * half[axis], a * half[u], b * half[v]
+                vertices.append(corner)
+                uv.append((a * half[u], b * half[v]))
+            order = (0, 1, 2, 3) if sign > 0 else (0, 3, 2, 1)
+            faces += [[first + order[i] for i in triangle] for triangle in ((0, 1, 2), (0, 2, 3))]
+    return np.array(vertices), np.array(faces, dtype=np.int32), np.array(uv)
 
 
 def _add_hulls(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObject, model: ObjectModel) -> None:

@@ -59,6 +59,22 @@ class Floor:
     """Metres that one copy of the texture covers."""
     specular: float
     shininess: float
+    height: float = 0.0
+    """Metres, of the floor in the world; below 0 where objects lie on a table."""
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A box that never moves: a table's top, a wall, a side of a bin."""
+
+    center: Vector
+    """Metres, in the world."""
+    turn: float
+    """Radians about the world's z axis."""
+    half: Vector
+    """Half its sides, metres."""
+    surface: Floor
+    """How it looks; the height does not count."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +124,8 @@ class Scene:
     intrinsics: Camera
     """Of every view."""
     views: tuple[View, ...]
+    slabs: tuple[Slab, ...] = ()
+    """Furniture, walls and the like: background, as the floor is."""
 
     @property
     def camera(self) -> View:
@@ -132,6 +150,7 @@ class Scene:
                 lights=tuple(Light(**_tuples(item)) for item in data["lights"]),
                 intrinsics=Camera(**data["intrinsics"]),
                 views=tuple(View(**_tuples(item)) for item in data["views"]),
+                slabs=tuple(Slab(**_tuples(item)) for item in data.get("slabs", ())),
             )
         except (KeyError, TypeError) as error:
             raise DatasetError(f"not a scene: {error}; was it written by another version?") from error
@@ -144,6 +163,8 @@ def _tuples(data: Mapping[str, Any]) -> dict[str, Any]:
         if name == "texture":
             colors = tuple(tuple(color) for color in value["colors"])
             out[name] = TextureSpec(**{**value, "colors": colors})
+        elif name == "surface":
+            out[name] = Floor(**_tuples(value))
         else:
             out[name] = tuple(value) if isinstance(value, list | tuple) else value
     return out
