@@ -11,8 +11,9 @@ GRAVITY = 9.81
 """Metres a second squared, down."""
 FRAME = 1 / 60
 """Seconds."""
-SUBSTEPS = 8
-"""Steps of an engine a frame. With four, Bullet's usual number, what falls enters the floor by up to a centimetre."""
+SUBSTEPS = 6
+"""Steps of an engine a frame. With four, Bullet's usual number, what falls enters the floor by up to two centimetres;
+six reject as few scenes as eight do, in less time."""
 FRICTION = 1.0
 LINEAR_DAMPING, ANGULAR_DAMPING = 0.9, 0.8
 """The paper's, from its code: Bullet's, which leaves (1 - d)^t of a velocity after t seconds."""
