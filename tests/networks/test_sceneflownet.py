@@ -33,12 +33,15 @@ def _frames(height: int, width: int, batch: int = 2) -> list[Tensor]:
     return frames
 
 
-@pytest.mark.parametrize(("correlation", "details"), [(True, False), (False, False), (True, True), (False, True)])
+@pytest.mark.parametrize(
+    ("correlation", "details", "cosine"),
+    [(True, False, False), (False, False, True), (True, True, True), (False, True, False)],
+)
 @pytest.mark.parametrize(("height", "width"), [(48, 64), (33, 50), (8, 8)])
 def test_maps_have_the_inputs_size_and_every_weight_learns(
-    correlation: bool, details: bool, height: int, width: int
+    correlation: bool, details: bool, cosine: bool, height: int, width: int
 ) -> None:
-    network = _network(correlation=correlation, details=details)
+    network = _network(correlation=correlation, details=details, correlation_cosine=cosine)
     for parameter in network.parameters():  # blocks start as their shortcuts: wake the rest
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
@@ -97,6 +100,20 @@ def test_the_correlation_comes_with_the_maps() -> None:
         expected = (looks[0][:, :, 3, 4] * looks[1][:, :, 4, 2]).sum(1)
     torch.testing.assert_close(correlation[:, (1 + 2) * 5 + (-2 + 2), 3, 4], expected)
     assert _network(correlation=False).predict(*frames)[1] is None
+
+
+def test_cosines_do_not_depend_on_the_features_lengths() -> None:
+    network = _network(correlation_cosine=True).eval()
+    frames = _frames(48, 64)
+    with torch.no_grad():
+        before, correlation = network.predict(*frames)
+        inside = correlation[correlation != 0]  # 0 beyond the image's edge
+        assert float(inside.abs().max()) <= float(network.sharpness.exp()) * (1 + 1e-5)
+        for parameter in network.color_encoder.project.parameters():
+            parameter.mul_(3)
+        after, same = network.predict(*frames)
+    torch.testing.assert_close(same, correlation)
+    torch.testing.assert_close(after, before)
 
 
 def test_padding_does_not_depend_on_who_pads() -> None:

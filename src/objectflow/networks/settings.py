@@ -38,6 +38,9 @@ class NetworkSettings:
     """L of the paper: the correlation's patch has (2 L + 1)^2 cells of stride 8."""
     correlation_mean: bool = False
     """Divide the correlation by the number of channels; the paper sums."""
+    correlation_cosine: bool = False
+    """Correlate features of length 1, times a learnt sharpness, and weigh cells relative to the best one, by
+    exp(c - max c); the paper rectifies plain products. Matches are learnt in a few hundred steps."""
     down: Stages = ((64, 64), (128, 128, 128), (256, 256, 256), (512, 512, 512))
     """Layers of the hourglass on its way down; the first of every stage but the first is 5x5 and halves the size."""
     up: Stages = ((256, 512, 256), (128, 128, 128), (64, 128, 64))

@@ -60,8 +60,8 @@ class LossSettings:
     squared: bool = False
     """Square the differences of Q, T, X, S, B and xi, as the authors' code does; their text says L2-norm."""
     match: float = 0.0
-    """Not in the paper: cross entropy of the correlation over its patch and "not there", against the true match of
-    each foreground cell. It tells colour features at once what they are for; without it they have to learn that
+    """Not in the paper: cross entropy of the correlation over its patch, against the true match of each foreground
+    cell. It tells colour features at once what they are for; without it they have to learn that
     through the max-pool and the hourglass."""
     rotation_weight: float = 0.0
     """Metres a radian: rotation joins xi with this weight. The grouping and the targets' B need the same value."""

@@ -12,9 +12,12 @@ from objectflow.dataset.augment import AugmentSettings
 from objectflow.errors import TrainingError
 from objectflow.grouping import GroupingSettings
 from objectflow.networks import NetworkSettings
+from objectflow.networks.rigidmatch import RigidMatchSettings
+from objectflow.networks.rigidmatch.settings import SMALL
 from objectflow.training.losses import LossSettings
+from objectflow.training.rigid_settings import RigidLossSettings
 
-Variant = Literal["s", "c", "c-vl"]
+Variant = Literal["s", "c", "c-vl", "rigidmatch"]
 
 FREE = frozenset({"workers", "log_every", "checkpoint_minutes", "keep_checkpoints"})
 """Fields that change no weight: a run may be continued with others."""
@@ -30,7 +33,8 @@ class Recipe:
 
     variant: Variant = "c-vl"
     """s: one encoder, no correlation; c: the paper's network; c-vl: c, trained with variance and violation loss.
-    Decides over network.correlation and loss.vl."""
+    Decides over network.correlation and loss.vl. rigidmatch: the other network, with the fields of rigid and
+    rigid-loss instead of network and loss."""
     size: tuple[int, int] = (240, 320)
     """Height and width of training images; stored ones are resized."""
     batch_size: int = 12
@@ -80,6 +84,8 @@ class Recipe:
     """Processes that read data ahead; 0 reads in between steps."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
     loss: LossSettings = field(default_factory=LossSettings)
+    rigid: RigidMatchSettings = field(default_factory=RigidMatchSettings)
+    rigid_loss: RigidLossSettings = field(default_factory=RigidLossSettings)
     augment: AugmentSettings = field(default_factory=AugmentSettings)
 
     def __post_init__(self) -> None:
@@ -109,11 +115,13 @@ class Recipe:
     @property
     def method(self) -> str:
         """The name by which estimators load the weights."""
-        return f"sceneflownet-{self.variant}"
+        return self.variant if self.variant == "rigidmatch" else f"sceneflownet-{self.variant}"
 
     @property
-    def network_settings(self) -> NetworkSettings:
+    def network_settings(self) -> NetworkSettings | RigidMatchSettings:
         """The network of this variant."""
+        if self.variant == "rigidmatch":
+            return self.rigid
         return dataclasses.replace(self.network, correlation=self.variant != "s")
 
     @property
@@ -166,12 +174,13 @@ _NARROW = dataclasses.replace(
     trunk_blocks=(1, 2),
     color_channels=64,
     fine=((32, 32), (24, 24), (16, 16)),
-    reach=6,
+    reach=8,
+    correlation_cosine=True,
     details=True,
 )
-"""Half the widths, and less where images are large; the patch spans 48 pixels each way, of 160."""
+"""Half the widths, and less where images are large; the patch spans 64 pixels each way, of 160."""
 
-_FAST = LossSettings(mask=10.0, centrality=4.0, rotation=1.0, center=30.0, flow=30.0, radius=10.0, match=1.0)
+_FAST = LossSettings(mask=10.0, centrality=4.0, rotation=1.0, center=30.0, flow=30.0, radius=10.0, match=10.0)
 """With the paper's weights, T's share of the gradient drowns the mask's for the first thousand steps of a short run,
 and all others' for longer: docs/training.md has the numbers."""
 
@@ -193,7 +202,7 @@ RECIPES: dict[str, Recipe] = {
         validate_every=1000,
         validation_pairs=192,
         workers=12,
-        network=dataclasses.replace(NetworkSettings(), details=True),
+        network=dataclasses.replace(NetworkSettings(), correlation_cosine=True, details=True),
         loss=_FAST,
     ),
     "cpu": Recipe(
@@ -212,6 +221,7 @@ RECIPES: dict[str, Recipe] = {
         validation_pairs=64,
         workers=0,
         network=_NARROW,
+        rigid=SMALL,
         loss=_FAST,
     ),
 }
