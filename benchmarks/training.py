@@ -26,9 +26,9 @@ from objectflow.dataset.batches import CACHE_BYTES, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.devices import find_device
 from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import WithCorrelation, build_network, build_optimizer, compiled, precision
+from objectflow.training.building import build_network, build_optimizer, compiled, precision
 from objectflow.training.feeding import on_device
-from objectflow.training.losses import compute_losses
+from objectflow.training.kinds import losses_of, trained_form
 from objectflow.training.parallel import Process
 from objectflow.training.recipe import RECIPES, Recipe, find_recipe
 from objectflow.training.step import prepare, step_generator
@@ -63,7 +63,7 @@ def measure(
     mean = AveragedWeights(network, recipe.ema_decay) if recipe.ema_decay else None
     feed = on_device(batches.iterate(), device)
     trial = prepare(next(feed), recipe, step_generator(0, 0, 0, device))
-    forward = compiled(WithCorrelation(network), recipe, trial.images, device, print)
+    forward = compiled(trained_form(network), recipe, trial.images, device, print)
     clock, used = Clock(device), 0.0
     for step in range(warm_up + steps):
         if step == warm_up:
@@ -71,13 +71,11 @@ def measure(
         with clock.phase("data"):
             batch = next(feed)
         with clock.phase("targets"):
-            images, points, targets, matches = prepare(batch, recipe, step_generator(0, step, 0, device))
+            prepared = prepare(batch, recipe, step_generator(0, step, 0, device))
         with clock.phase("forward"):
             with precision(recipe, device):
-                output, correlation = forward(*images)
-            losses = compute_losses(
-                output, targets, points, recipe.loss_settings, correlation=correlation, matches=matches
-            )
+                output = forward(*prepared.images)
+            losses = losses_of(output, prepared, recipe)
         with clock.phase("backward"):
             optimizer.zero_grad(set_to_none=True)
             losses["total"].backward()  # type: ignore[no-untyped-call]

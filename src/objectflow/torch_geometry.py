@@ -103,6 +103,12 @@ def kabsch(curr: Tensor, prev: Tensor, weights: Tensor | None = None) -> tuple[T
     return out, determined
 
 
+def nearest_rotation(matrix: Tensor) -> Tensor:
+    """(..., 3, 3) -> the rotations R that maximise tr(R^T matrix), with the gradient that `kabsch` describes."""
+    out: Tensor = _NearestRotation.apply(matrix)[0]  # type: ignore[no-untyped-call]
+    return out
+
+
 class _NearestRotation(torch.autograd.Function):
     """The rotation R that maximises tr(R^T H), and H's singular values (without gradient)."""
 

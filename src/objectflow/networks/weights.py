@@ -15,15 +15,24 @@ from torch import Tensor
 
 from objectflow import files
 from objectflow.errors import MethodError
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.sceneflownet import SceneFlowNet
 from objectflow.networks.settings import NetworkSettings
+
+Network = SceneFlowNet | RigidMatch
+Settings = NetworkSettings | RigidMatchSettings
 
 _KEY = "objectflow"
 """The header's one entry, JSON: safetensors keeps several in no fixed order, and equal weights make equal bytes."""
 _VERSION = 1
+_KINDS: dict[str, type[NetworkSettings] | type[RigidMatchSettings]] = {
+    "sceneflownet": NetworkSettings,
+    "rigidmatch": RigidMatchSettings,
+}
+"""What a header's "kind" can be; one without is of the first."""
 
 
-def save_weights(path: str | Path, network: SceneFlowNet, metadata: Mapping[str, Any], *, half: bool = False) -> None:
+def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any], *, half: bool = False) -> None:
     """Write a network whole or not at all.
 
     Args:
@@ -48,9 +57,10 @@ def save_weights(path: str | Path, network: SceneFlowNet, metadata: Mapping[str,
                 raise MethodError(f"{path}: {name} does not fit into float16: save these weights as they are")
         tensors[name] = tensor
     try:
-        header = json.dumps(
-            {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}, sort_keys=True
-        )
+        about = {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}
+        if isinstance(network, RigidMatch):
+            about["kind"] = "rigidmatch"
+        header = json.dumps(about, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise MethodError(f"{path}: metadata of weights must be plain JSON: {error}") from error
     files.write_bytes(path, safetensors.torch.save(tensors, {_KEY: header}))
@@ -59,6 +69,20 @@ def save_weights(path: str | Path, network: SceneFlowNet, metadata: Mapping[str,
 def load_weights(
     path: str | Path, device: torch.device | str = "cpu", *, settings: NetworkSettings | None = None
 ) -> tuple[SceneFlowNet, dict[str, Any]]:
+    """`load_network` for those who can do with a `SceneFlowNet` alone.
+
+    Raises:
+        MethodError: as `load_network`; or another kind of network.
+    """
+    network, metadata = load_network(path, device, settings=settings)
+    if not isinstance(network, SceneFlowNet):
+        raise MethodError(f"{path}: weights of rigidmatch, not of a scene flow network: load them by their own name")
+    return network, metadata
+
+
+def load_network(
+    path: str | Path, device: torch.device | str = "cpu", *, settings: Settings | None = None
+) -> tuple[Network, dict[str, Any]]:
     """Build the network that a file of `save_weights` describes, and fill it: every tensor or an error.
 
     Args:
@@ -82,7 +106,7 @@ def load_weights(
     except (OSError, ValueError, safetensors.SafetensorError) as error:
         raise _unreadable(path, error) from error
     with torch.random.fork_rng(devices=[]):  # a network starts from random numbers: leave the caller's alone
-        network = SceneFlowNet(found)
+        network = SceneFlowNet(found) if isinstance(found, NetworkSettings) else RigidMatch(found)
     wanted = network.state_dict()
     for name in sorted({*wanted, *tensors}):
         if name not in tensors:
@@ -98,7 +122,7 @@ def load_weights(
     return network.to(device).eval(), metadata
 
 
-def read_header(path: str | Path) -> tuple[NetworkSettings, dict[str, Any]]:
+def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
     """The configuration and the metadata of a file of `save_weights`, without its tensors.
 
     Raises:
@@ -117,23 +141,29 @@ def read_header(path: str | Path) -> tuple[NetworkSettings, dict[str, Any]]:
         if header["version"] != _VERSION:
             raise MethodError(f"{path}: weights of format {header['version']}, this objectflow reads {_VERSION}")
         network, metadata = header["network"], header["metadata"]
+        kind = header.get("kind", "sceneflownet")
         if not isinstance(network, dict) or not isinstance(metadata, dict):
             raise ValueError("not an object")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MethodError(f"{path}: damaged: its header cannot be read") from error
+    if kind not in _KINDS:
+        raise MethodError(f"{path}: weights of a network {kind!r}, which this objectflow does not have")
     try:
-        return NetworkSettings.from_dict(network), metadata
+        return _KINDS[kind].from_dict(network), metadata
     except MethodError as error:
         raise MethodError(f"{path}: {error}") from error
 
 
-def check_settings(found: NetworkSettings, wanted: NetworkSettings, *, where: str) -> None:
+def check_settings(found: Settings, wanted: Settings, *, where: str) -> None:
     """Check that weights are of the configuration asked for.
 
     Raises:
         MethodError: a field differs; the message names the first, its two values, and starts with `where`.
     """
-    for field in dataclasses.fields(NetworkSettings):
+    if type(found) is not type(wanted):
+        kinds = {kind: name for name, kind in _KINDS.items()}
+        raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is asked for")
+    for field in dataclasses.fields(wanted):
         one, other = getattr(found, field.name), getattr(wanted, field.name)
         if one != other:
             raise MethodError(

@@ -6,7 +6,7 @@ import copy
 
 import torch
 
-from objectflow.networks import SceneFlowNet
+from objectflow.networks.weights import Network
 
 
 class AveragedWeights:
@@ -17,7 +17,7 @@ class AveragedWeights:
         steps: how many updates it has seen.
     """
 
-    def __init__(self, network: SceneFlowNet, decay: float) -> None:
+    def __init__(self, network: Network, decay: float) -> None:
         """Start from the network as it is.
 
         Args:

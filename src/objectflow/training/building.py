@@ -11,25 +11,17 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from objectflow.networks import DenseMotion, SceneFlowNet
-from objectflow.networks.weights import load_weights
+from objectflow.errors import MethodError
+from objectflow.networks import SceneFlowNet
+from objectflow.networks.rigidmatch import RigidMatch
+from objectflow.networks.settings import NetworkSettings
+from objectflow.networks.weights import Network, load_network
+from objectflow.training.kinds import numbers_of
 from objectflow.training.parallel import Process, normalised_together
 from objectflow.training.recipe import Recipe
 
 
-class WithCorrelation(nn.Module):
-    """A network as training calls it: maps, and the correlation that the match loss judges."""
-
-    def __init__(self, network: SceneFlowNet) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, *images: Tensor) -> tuple[DenseMotion, Tensor | None]:
-        """See `SceneFlowNet.predict`."""
-        return self.network.predict(*images)
-
-
-def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> SceneFlowNet:
+def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> Network:
     """The network with first weights, the same in every process, on its device.
 
     Args:
@@ -42,16 +34,22 @@ def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, st
         MethodError: a file that does not fit; the message names the field or the tensor.
     """
     settings = recipe.network_settings
+    generator = torch.Generator().manual_seed(recipe.seed)
+    network: Network
     if start is not None:
-        network, _ = load_weights(start, settings=settings)
+        network, _ = load_network(start, settings=settings)
+    elif isinstance(settings, NetworkSettings):
+        network = SceneFlowNet(settings, generator=generator)
     else:
-        network = SceneFlowNet(settings, generator=torch.Generator().manual_seed(recipe.seed))
+        network = RigidMatch(settings, generator=generator)
     if backbone is not None:
+        if not isinstance(network, SceneFlowNet):
+            raise MethodError(f"{backbone}: rigidmatch has no ResNet-50 trunk: leave backbone weights out")
         network.load_backbone(backbone)
     network.to(process.device).train()
     if recipe.channels_last:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if settings.trunk_norm == "batch":
+    if not isinstance(settings, NetworkSettings) or settings.trunk_norm == "batch":
         normalised_together(network, process)
     return network
 
@@ -97,9 +95,8 @@ def compiled(
     try:
         candidate = torch.compile(network)
         with precision(recipe, device):
-            maps, correlation = candidate(*images)
-        parts = [*maps] if correlation is None else [*maps, correlation]
-        sum(one.float().square().mean() for one in parts).backward()
+            output = candidate(*images)
+        torch.stack([one.float().square().mean() for one in numbers_of(output)]).sum().backward()  # type: ignore[no-untyped-call]
         out = candidate
     except Exception as error:
         reason = (str(error).splitlines() or [""])[0]

@@ -16,8 +16,7 @@ from torch import Tensor
 
 from objectflow import files
 from objectflow.errors import TrainingError
-from objectflow.networks import SceneFlowNet
-from objectflow.networks.weights import load_weights, save_weights
+from objectflow.networks.weights import Network, load_network, save_weights
 from objectflow.training.averaged import AveragedWeights
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
@@ -42,7 +41,7 @@ class Position:
 
 def save_checkpoint(
     root: Path,
-    network: SceneFlowNet,
+    network: Network,
     optimizer: torch.optim.Optimizer,
     mean: AveragedWeights | None,
     position: Position,
@@ -91,7 +90,7 @@ def remove_leftovers(root: Path) -> None:
 
 
 def load_checkpoint(
-    path: Path, network: SceneFlowNet, optimizer: torch.optim.Optimizer, mean: AveragedWeights | None
+    path: Path, network: Network, optimizer: torch.optim.Optimizer, mean: AveragedWeights | None
 ) -> Position:
     """Fill network, optimiser and mean, exactly as they were.
 
@@ -99,7 +98,7 @@ def load_checkpoint(
         MethodError: weights of another configuration (the message names the field), or a damaged file.
         TrainingError: a state that does not fit.
     """
-    loaded, _ = load_weights(path / WEIGHTS, settings=network.settings)
+    loaded, _ = load_network(path / WEIGHTS, settings=network.settings)
     network.load_state_dict(loaded.state_dict())
     file = path / STATE
     try:
@@ -120,14 +119,14 @@ def load_checkpoint(
     return position
 
 
-def _optimizer_tensors(network: SceneFlowNet, optimizer: torch.optim.Optimizer) -> Iterator[tuple[str, Tensor]]:
+def _optimizer_tensors(network: Network, optimizer: torch.optim.Optimizer) -> Iterator[tuple[str, Tensor]]:
     for name, parameter in network.named_parameters():
         for key, value in optimizer.state.get(parameter, {}).items():
             yield f"optimizer.{name}.{key}", value
 
 
 def _fill_optimizer(
-    file: Path, network: SceneFlowNet, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]
+    file: Path, network: Network, optimizer: torch.optim.Optimizer, tensors: dict[str, Tensor]
 ) -> None:
     parameters = dict(network.named_parameters())
     optimizer.state.clear()

@@ -20,14 +20,13 @@ from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.manifest import Manifest, hash_file
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import TrainingError
-from objectflow.networks import SceneFlowNet
-from objectflow.networks.weights import save_weights
+from objectflow.networks.weights import Network, save_weights
 from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import WithCorrelation, build_network, build_optimizer, compiled, precision
+from objectflow.training.building import build_network, build_optimizer, compiled, precision
 from objectflow.training.checkpoint import Position, checkpoints, load_checkpoint, save_checkpoint
 from objectflow.training.curves import write_curve
 from objectflow.training.feeding import on_device
-from objectflow.training.losses import compute_losses
+from objectflow.training.kinds import losses_of, trained_form
 from objectflow.training.parallel import Process, joined
 from objectflow.training.recipe import Recipe
 from objectflow.training.run_folder import CHECKPOINTS, RunFolder, opened, read_metrics
@@ -85,7 +84,7 @@ class Run:
     train: Batches
     val: Batches | None
     data_hash: str
-    network: SceneFlowNet
+    network: Network
     optimizer: torch.optim.Optimizer
     mean: AveragedWeights | None
     position: Position
@@ -153,7 +152,7 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
     with stopping.kept_from_children():
         first = next(feed)  # starts the processes that read
     trial = prepare(first, recipe, step_generator(recipe.seed, run.position.step, process.rank, device))
-    forward = process.shared(compiled(WithCorrelation(run.network), recipe, trial.images, device, run.watch.note))
+    forward = process.shared(compiled(trained_form(run.network), recipe, trial.images, device, run.watch.note))
     parameters = list(run.network.parameters())
     window = Window(process)
     before = run.position.seconds
@@ -164,13 +163,11 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
         for group in run.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(run.progress())
         generator = step_generator(recipe.seed, run.position.step, process.rank, device)
-        images, points, targets, matches = prepare(batch, recipe, generator)
+        prepared = prepare(batch, recipe, generator)
         # 2. Forward in the recipe's precision, losses in float32.
         with precision(recipe, device):
-            output, correlation = forward(*images)
-        losses = compute_losses(
-            output, targets, points, recipe.loss_settings, correlation=correlation, matches=matches
-        )
+            output = forward(*prepared.images)
+        losses = losses_of(output, prepared, recipe)
         # 3. Backward and one step.
         run.optimizer.zero_grad(set_to_none=True)
         losses["total"].backward()  # type: ignore[no-untyped-call]

@@ -23,12 +23,14 @@ class Prepared(NamedTuple):
         points: (B, 3, H, W) metres, the current frame's exact points; NaN where depth is missing.
         targets: made from them.
         matches: (B, 2, H, W) column and row of each point in the previous image, NaN where it cannot be seen there.
+        batch: the exact frames, as augmented.
     """
 
     images: tuple[Tensor, Tensor, Tensor, Tensor]
     points: Tensor
     targets: Targets
     matches: Tensor
+    batch: Batch
 
 
 def step_generator(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
@@ -56,4 +58,4 @@ def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> 
         a, b, c, d = (image.contiguous(memory_format=torch.channels_last) for image in images)
         images = (a, b, c, d)
     matches = previous_pixels(seen.exact_points, targets.flow, batch.prev_depth, batch.intrinsics)
-    return Prepared(images, seen.exact_points, targets, matches)
+    return Prepared(images, seen.exact_points, targets, matches, batch)

@@ -13,10 +13,9 @@ import torch
 from objectflow.dataset.batches import Batch
 from objectflow.evaluation.flow_metrics import score_flow
 from objectflow.evaluation.segmentation_metrics import score_segmentation
-from objectflow.instances import dense_to_motion
-from objectflow.networks import DenseMotion, SceneFlowNet
+from objectflow.networks.weights import Network
 from objectflow.training.building import precision
-from objectflow.training.losses import compute_losses
+from objectflow.training.kinds import Output, losses_of, motion_of, trained_form
 from objectflow.training.parallel import Process
 from objectflow.training.recipe import Recipe
 from objectflow.training.step import Prepared, prepare
@@ -58,7 +57,7 @@ class Validation:
         return {**vars(self), "extracted_share": self.extracted / max(1, self.true_objects)}
 
 
-def validate(network: SceneFlowNet, batches: Iterable[Batch], recipe: Recipe, process: Process) -> Validation:
+def validate(network: Network, batches: Iterable[Batch], recipe: Recipe, process: Process) -> Validation:
     """Run a network over pairs as they are stored.
 
     Args:
@@ -78,16 +77,8 @@ def validate(network: SceneFlowNet, batches: Iterable[Batch], recipe: Recipe, pr
             for batch in batches:
                 prepared = prepare(batch.to(process.device), recipe, None)
                 with precision(recipe, process.device):
-                    output, correlation = network.predict(*prepared.images)
-                losses = compute_losses(
-                    output,
-                    prepared.targets,
-                    prepared.points,
-                    recipe.loss_settings,
-                    correlation=correlation,
-                    matches=prepared.matches,
-                )
-                for name, value in losses.items():
+                    output = trained_form(network)(*prepared.images)
+                for name, value in losses_of(output, prepared, recipe).items():
                     sums[f"loss.{name}"] += float(value) * len(batch)
                 for index in range(len(batch)):
                     _add(sums, _score(output, prepared, batch.curr_labels[index].cpu().numpy(), index, recipe))
@@ -97,13 +88,11 @@ def validate(network: SceneFlowNet, batches: Iterable[Batch], recipe: Recipe, pr
 
 
 def _score(
-    output: DenseMotion, prepared: Prepared, labels: np.ndarray[Any, np.dtype[Any]], index: int, recipe: Recipe
+    output: Output, prepared: Prepared, labels: np.ndarray[Any, np.dtype[Any]], index: int, recipe: Recipe
 ) -> dict[str, float]:
     """One pair's numbers, and how many pairs each counts for."""
-    maps = DenseMotion(*(one[index : index + 1] for one in output))
-    points = prepared.points[index : index + 1]
-    motion = dense_to_motion(maps, points, grouping=recipe.grouping)
-    measured = torch.isfinite(points[0]).all(dim=0)
+    motion = motion_of(output, prepared, recipe, index)
+    measured = torch.isfinite(prepared.points[index]).all(dim=0)
     true_flow = torch.where(measured, prepared.targets.flow[index], torch.nan).permute(1, 2, 0).cpu().numpy()
     seen = prepared.targets.seen[index].cpu().numpy()
     flow = score_flow(motion.scene_flow, true_flow, seen, seen).masked

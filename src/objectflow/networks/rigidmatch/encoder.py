@@ -1,0 +1,57 @@
+"""The trunk, shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+from torch import Tensor, nn
+
+from objectflow.networks.rigidmatch.inputs import CHANNELS
+from objectflow.networks.rigidmatch.settings import RigidMatchSettings
+
+
+class Block(nn.Module):
+    """Two 3x3 layers with a shortcut; (B, inputs, H, W) -> (B, outputs, H / stride, W / stride)."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.norm1 = nn.BatchNorm2d(outputs)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.norm2 = nn.BatchNorm2d(outputs)
+        self.shortcut: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.shortcut = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The block."""
+        out = torch.relu(self.norm1(self.conv1(x)))
+        return torch.relu(self.norm2(self.conv2(out)) + self.shortcut(x))
+
+
+def stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
+    """Blocks in a row, the first with the stride."""
+    return nn.Sequential(Block(inputs, outputs, stride), *(Block(outputs, outputs) for _ in range(blocks - 1)))
+
+
+class Encoder(nn.Module):
+    """(B, 8, H, W) from `describe` -> features of the fine and the coarse grid."""
+
+    def __init__(self, settings: RigidMatchSettings) -> None:
+        super().__init__()
+        width, fine, coarse = settings.stem_width, settings.fine_channels, settings.channels
+        self.stem = nn.Sequential(
+            nn.Conv2d(CHANNELS, width, 5, 2, 2, bias=False), nn.BatchNorm2d(width), nn.ReLU(inplace=True)
+        )
+        self.fine = stage(width, fine, settings.blocks[0], settings.fine_stride // 2)
+        self.coarse = stage(fine, coarse, settings.blocks[1], 2)
+        self.context = stage(coarse, 2 * coarse, settings.blocks[2], 2)
+        self.lateral = nn.Conv2d(2 * coarse, coarse, 1)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, fine_channels, H / fine stride, W / fine stride) and (B, channels, H / stride, W / stride)."""
+        fine = self.fine(self.stem(image))
+        coarse = self.coarse(fine)
+        # What lies around, from twice as far away (Lin et al. 2017).
+        around = F.interpolate(self.lateral(self.context(coarse)), scale_factor=2.0, mode="nearest")
+        return fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]

@@ -1,0 +1,85 @@
+"""What the encoder is shown of a frame: colour, inverse depth, validity, normals; and the grids' points."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+from torch import Tensor
+
+from objectflow.networks.sceneflownet import fill_holes
+
+CHANNELS = 8
+_NEAR = 0.1
+"""Metres: inverse depth grows no further below."""
+
+
+class Grid(NamedTuple):
+    """The points of a grid's cells.
+
+    Attributes:
+        points: (B, 3, h, w) metres; without depth, the mean of the nearest points.
+        valid: (B, 1, h, w) 1 where there is depth, else 0.
+    """
+
+    points: Tensor
+    valid: Tensor
+
+
+def describe(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Eight channels of a frame, and its points.
+
+    Args:
+        color: (B, 3, H, W) RGB in 0..1.
+        points: (B, 3, H, W) metres, NaN where depth is missing.
+        multiple: images are padded with zeros, at the right and the bottom, to multiples of it.
+
+    Returns:
+        (B, 8, H', W') for the encoder; (B, 3, H', W') points with 0 where depth is missing; (B, 1, H', W') validity.
+    """
+    finite = torch.isfinite(points).all(dim=1, keepdim=True)
+    safe = torch.where(finite, points, torch.zeros_like(points))
+    valid = (safe[:, 2:] > 0).to(points.dtype)
+    inverse = valid / safe[:, 2:].clamp_min(_NEAR)
+    image = torch.cat([(color - 0.45) / 0.25, inverse, valid, normals(safe, valid)], dim=1)
+    height, width = color.shape[-2:]
+    pad = (0, -width % multiple, 0, -height % multiple)
+    return F.pad(image, pad), F.pad(safe, pad), F.pad(valid, pad)
+
+
+def normals(points: Tensor, valid: Tensor) -> Tensor:
+    """Unit normals toward the camera by central differences; 0 where a neighbour is missing and at the edge.
+
+    Args:
+        points: (B, 3, H, W) metres.
+        valid: (B, 1, H, W) 1 or 0.
+    """
+    across = points[..., 1:-1, 2:] - points[..., 1:-1, :-2]
+    down = points[..., 2:, 1:-1] - points[..., :-2, 1:-1]
+    both = valid[..., 1:-1, 2:] * valid[..., 1:-1, :-2] * valid[..., 2:, 1:-1] * valid[..., :-2, 1:-1]
+    (a, b, c), (d, e, f) = down.unbind(1), across.unbind(1)
+    normal = torch.stack([b * f - c * e, c * d - a * f, a * e - b * d], dim=1)
+    normal = both * normal / normal.square().sum(1, keepdim=True).clamp_min(1e-24).sqrt()
+    return F.pad(normal, (1, 1, 1, 1))
+
+
+def grid(points: Tensor, valid: Tensor, stride: int) -> Grid:
+    """Every `stride`-th pixel's point: single points, since means over a cell would lie between surfaces."""
+    own, there = points[..., ::stride, ::stride], valid[..., ::stride, ::stride]
+    return Grid(fill_holes(own, there), there)
+
+
+def as_map(tokens: Tensor, size: tuple[int, int]) -> Tensor:
+    """(B, h w, C) -> (B, C, h, w)."""
+    return tokens.mT.reshape(tokens.shape[0], tokens.shape[2], *size)
+
+
+def cells(height: int, width: int, device: torch.device) -> Tensor:
+    """(2, h, w) float32: column and row of every cell."""
+    row, column = torch.meshgrid(
+        torch.arange(height, device=device, dtype=torch.float32),
+        torch.arange(width, device=device, dtype=torch.float32),
+        indexing="ij",
+    )
+    return torch.stack([column, row])

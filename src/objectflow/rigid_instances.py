@@ -1,0 +1,116 @@
+"""What a `RigidMatch` says about one pair -> labels and objects; shared by the estimator and by validation."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objectflow import geometry
+from objectflow.errors import MethodError
+from objectflow.instances import keep_seen, rigid_flow
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.networks.rigidmatch.outputs import RigidOutput
+from objectflow.networks.rigidmatch.refinement import mix_neighbors
+
+Labels = NDArray[np.int32]
+Floats = NDArray[np.float32]
+
+THRESHOLD = 0.5
+"""Least probability of being an object."""
+_WON = 0.5
+"""Least share of its mask that an object keeps where others claim the same pixels; with less it says what they say."""
+MIN_PIXELS = 20
+"""Of the network's input; fewer are no object."""
+
+
+def output_to_motion(
+    output: RigidOutput, curr_points: Tensor, *, threshold: float = THRESHOLD, min_pixels: int = MIN_PIXELS
+) -> SceneMotion:
+    """Objects of one pair, on the pixels of the network's input, and the flow that their motions make.
+
+    Args:
+        output: of one pair, as `select` gives it.
+        curr_points: (1, 3, H, W) metres, NaN where depth is missing.
+        threshold: least probability of being an object.
+        min_pixels: fewer are no object.
+    """
+    height, width = curr_points.shape[-2:]
+    labels, objects = find_objects(output, (height, width), threshold=threshold, min_pixels=min_pixels)
+    points = curr_points[0].permute(1, 2, 0).float().cpu().numpy()
+    return SceneMotion(labels=labels, scene_flow=rigid_flow(objects, labels, points), objects=objects)
+
+
+def select(output: RigidOutput, index: int) -> RigidOutput:
+    """One pair of a batch's output."""
+    batch_second = ("objectness", "masks")
+    parts = {
+        name: value[:, index : index + 1] if name in batch_second else value[index : index + 1]
+        for name, value in output._asdict().items()
+    }
+    return RigidOutput(**parts)
+
+
+@torch.no_grad()
+def find_objects(
+    output: RigidOutput, size: tuple[int, int], *, threshold: float = THRESHOLD, min_pixels: int = MIN_PIXELS
+) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+    """Each pixel goes to the object that claims it most (as MaskFormer, Cheng et al. 2021).
+
+    Args:
+        output: of one pair.
+        size: (H, W) of the network's input.
+        threshold: least probability of being an object.
+        min_pixels: fewer are no object.
+
+    Returns:
+        (H, W) int32 labels, 0 = background, and an object for each.
+
+    Raises:
+        MethodError: more than one pair.
+    """
+    if output.moves.shape[0] != 1:
+        raise MethodError(f"one pair's output is needed, not {output.moves.shape[0]}: take one by select")
+    sure = output.objectness[-1, 0].sigmoid()
+    kept = torch.nonzero(sure > threshold)[:, 0]
+    claim = mix_neighbors(output.masks[-1][:, kept], output.upsampling)[0, :, : size[0], : size[1]].sigmoid()
+    while len(kept):
+        winner = (claim * sure[kept][:, None, None]).argmax(dim=0)
+        mine = claim > 0.5
+        won = mine & (winner == torch.arange(len(kept), device=claim.device)[:, None, None])
+        counts, areas = won.flatten(1).sum(1), mine.flatten(1).sum(1)
+        weak = (counts < min_pixels) | (counts < _WON * areas)
+        if not bool(weak.any()):
+            break
+        # The weakest goes first: its pixels may make another whole.
+        worst = int(torch.where(weak, counts / areas.clamp_min(1), 2.0).argmin())
+        rest = torch.arange(len(kept), device=kept.device) != worst
+        kept, claim = kept[rest], claim[rest]
+    if not len(kept):
+        return np.zeros(size, np.int32), ()
+    number = torch.arange(1, len(kept) + 1, device=claim.device)[:, None, None]
+    labels = (won * number).amax(dim=0).to(torch.int32).cpu().numpy()
+    R, t, center, moves, score = (
+        one.double().cpu().numpy()
+        for one in (
+            output.rotation[0, kept],
+            output.translation[0, kept],
+            output.anchors[0, kept, :3],
+            output.moves[0, kept].sigmoid(),
+            sure[kept],
+        )
+    )
+    transforms = geometry.make_transform(R, t)
+    objects = tuple(
+        ObjectMotion(
+            id=k + 1,
+            pixels=int(counts[k]),
+            score=float(score[k]),
+            moving=bool(moves[k] > 0.5),
+            center=center[k],
+            prev_T_curr=transforms[k],
+        )
+        for k in range(len(kept))
+    )
+    return keep_seen(labels, objects)
