@@ -1,6 +1,6 @@
 """Which form of the losses, and of telling of missing depth, learns better: `benchmarks/loss_forms.py --data DIR`.
 
-Short runs of a narrow network that differ in one thing: the pixel-wise differences as L2-norms or squared (the paper's
+Short runs of the recipe `cpu` that differ in one thing: the pixel-wise differences as L2-norms or squared (the paper's
 text says the one, its code does the other), and missing depth as a validity channel or left out by masked
 convolutions. Each starts from the same random weights and sees the same pairs, with the same sensor noise, which is
 what makes depth missing; so does the validation. Prints a table in Markdown, one line a run.
@@ -13,19 +13,29 @@ import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Literal
 
 import torch
 import tyro
 from rich.console import Console
+from torch.nn.utils import clip_grad_norm_
 
-from objectflow.dataset.augment import AugmentSettings, Inputs, augment, network_inputs
+from objectflow.dataset.augment import AugmentSettings, Inputs, network_inputs
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
-from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet, scene_flow
-from objectflow.training.losses import LossSettings, compute_losses
+from objectflow.networks import DenseMotion, SceneFlowNet, scene_flow
+from objectflow.training.building import build_optimizer
+from objectflow.training.losses import compute_losses
+from objectflow.training.recipe import RECIPES
+from objectflow.training.step import prepare, step_generator
 
-FORMS = {"L2, channel": (False, "channel"), "squared, channel": (True, "channel"), "L2, masked": (False, "masked")}
+Missing = Literal["channel", "masked"]
+FORMS: dict[str, tuple[bool, Missing]] = {
+    "L2, channel": (False, "channel"),
+    "squared, channel": (True, "channel"),
+    "L2, masked": (False, "masked"),
+}
 
 
 @dataclasses.dataclass
@@ -36,16 +46,14 @@ class Settings:
     """Folder of the training pairs."""
     val: Path | None = None
     """Folder of the validation pairs; that of the training pairs when None."""
-    steps: int = 300
+    steps: int = 800
     """Steps of each run."""
     batch_size: int = 8
     """Pairs a step."""
     size: tuple[int, int] = (120, 160)
     """Height and width."""
-    width: float = 0.125
-    """Of the paper's network."""
-    learning_rate: float = 1e-3
-    """Of Adam, falling along half a cosine."""
+    learning_rate: float = 2e-3
+    """The highest, along the recipe's schedule."""
     val_pairs: int = 64
     """Pairs validated on."""
     seeds: tuple[int, ...] = (0,)
@@ -74,7 +82,7 @@ def main(settings: Settings) -> None:
     held = list(itertools.islice(Batches(val, 8, size=settings.size, seed=0).one_pass(), settings.val_pairs // 8))
     console.print(
         f"{settings.steps} steps of {settings.batch_size} of {len(train)} pairs at {settings.size[1]}x"
-        f"{settings.size[0]}, {settings.width:g} of the paper's width, Adam {settings.learning_rate:g}, "
+        f"{settings.size[0]}, learning rate {settings.learning_rate:g}, "
         f"{8 * len(held)} validation pairs, torch {torch.__version__}, {settings.device}",
         style="dim",
     )
@@ -95,25 +103,44 @@ def main(settings: Settings) -> None:
     console.print(f"| zero flow | | {zero:.2f} | | | | |")
 
 
-def learn(batches: Batches, squared: bool, missing: str, seed: int, settings: Settings) -> SceneFlowNet:
-    network_settings = dataclasses.replace(NetworkSettings().scaled(settings.width), missing=missing)
-    network = SceneFlowNet(network_settings, generator=torch.Generator().manual_seed(seed)).to(settings.device)
-    optimizer = torch.optim.Adam(network.parameters(), settings.learning_rate)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
-    generator = torch.Generator(settings.device).manual_seed(seed)
-    loss_settings = LossSettings(squared=squared)
-    for batch in itertools.islice(batches.iterate(), settings.steps):
-        varied = augment(batch.to(settings.device), AugmentSettings(), generator)
-        inputs, targets = prepare(varied, generator)
-        loss = compute_losses(network(*inputs[:4]), targets, inputs.exact_points, loss_settings)["total"]
+def learn(batches: Batches, squared: bool, missing: Missing, seed: int, settings: Settings) -> SceneFlowNet:
+    cpu = RECIPES["cpu"]
+    recipe = dataclasses.replace(
+        cpu,
+        seed=seed,
+        steps=settings.steps,
+        size=settings.size,
+        learning_rate=settings.learning_rate,
+        network=dataclasses.replace(cpu.network, missing=missing),
+        loss=dataclasses.replace(cpu.loss, squared=squared),
+        augment=dataclasses.replace(cpu.augment, depth_sensor=1.0),
+    )
+    device = torch.device(settings.device)
+    network = SceneFlowNet(recipe.network, generator=torch.Generator().manual_seed(seed))
+    network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+    optimizer = build_optimizer(recipe, network, device)
+    for step, batch in enumerate(itertools.islice(batches.iterate(), settings.steps)):
+        for group in optimizer.param_groups:
+            group["lr"] = recipe.learning_rate_at(step / settings.steps)
+        prepared = prepare(batch.to(device), recipe, step_generator(seed, step, 0, device))
+        maps, correlation = network.predict(*prepared.images)
+        loss = compute_losses(
+            maps,
+            prepared.targets,
+            prepared.points,
+            recipe.loss_settings,
+            correlation=correlation,
+            matches=prepared.matches,
+        )["total"]
         optimizer.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
+        clip_grad_norm_(network.parameters(), recipe.clip or float("inf"))
         optimizer.step()
-        schedule.step()
     return network
 
 
-def prepare(batch: Batch, generator: torch.Generator) -> tuple[Inputs, Targets]:
+def observe(batch: Batch, generator: torch.Generator) -> tuple[Inputs, Targets]:
+    """Validation pairs without augmentation, but with sensor noise."""
     inputs = network_inputs(batch, AugmentSettings(depth_sensor=1), generator)
     return inputs, make_targets(batch.table, batch.curr_labels, inputs.exact_points)
 
@@ -124,7 +151,7 @@ def outputs(
     network.eval()
     generator = torch.Generator(settings.device).manual_seed(0)
     for batch in held:
-        inputs, targets = prepare(batch.to(settings.device), generator)
+        inputs, targets = observe(batch.to(settings.device), generator)
         with torch.no_grad():
             yield network(*inputs[:4]), inputs, targets
 

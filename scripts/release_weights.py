@@ -3,6 +3,10 @@
     python scripts/release_weights.py --out release                         # one GPU: hours
     python scripts/release_weights.py --out release --recipe cpu --pairs 2000 --val-pairs 128 --test-pairs 200 \
         --variants c-vl --minutes 90 --device cpu
+    python scripts/release_weights.py --pack run/weights.safetensors --tables evaluation/tables.md
+
+The last one puts weights that were trained by other commands into the package, with tables that `objectflow evaluate`
+wrote for them.
 
 Each step is a command of `objectflow` that can be run by hand; all of them are printed. Run again after it was
 stopped, it goes on where it was: every step continues its own work and skips what is done.
@@ -32,7 +36,7 @@ Variant = Literal["s", "c", "c-vl"]
 class Settings:
     """Generates data, trains, evaluates and packs the best weights with their card."""
 
-    out: Path
+    out: Path = Path("release")
     """Folder of the data set, the runs and the tables; new, or of an earlier call."""
     recipe: str = "gpu"
     """Of `objectflow train`."""
@@ -62,12 +66,22 @@ class Settings:
     """Methods without weights for the tables."""
     ship: bool = True
     """Write the best weights into the package; otherwise only say which they are."""
+    pack: Path | None = None
+    """Only put these weights into the package."""
+    tables: Path | None = None
+    """With `pack`: the tables.md of their evaluation, for the card."""
+    history: str = ""
+    """With `pack`: what came before these weights' own run, in a sentence for the card."""
 
 
 def main(settings: Settings) -> None:
     """Generate, train, evaluate, pack."""
     import torch
 
+    if settings.pack is not None:
+        tables = "" if settings.tables is None else settings.tables.read_text(encoding="utf-8")
+        pack(settings.pack, tables, settings.history)
+        return
     device = settings.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -121,7 +135,7 @@ def validation_error(weights: Path) -> float:
     return float(metrics.get("epe_cm", float("inf")))
 
 
-def pack(weights: Path, tables: str) -> None:
+def pack(weights: Path, tables: str, history: str = "") -> None:
     """Write the weights in half precision into the package, with their card and their hash."""
     network, about = load_weights(weights)
     name = about["variant"]
@@ -132,12 +146,13 @@ def pack(weights: Path, tables: str) -> None:
         old.with_suffix(".md").unlink(missing_ok=True)
     save_weights(target, network, about, half=True)
     files.write_text(
-        target.with_suffix(".md"), card(about, target, sum(one.numel() for one in network.parameters()), tables)
+        target.with_suffix(".md"),
+        card(about, target, sum(one.numel() for one in network.parameters()), tables, history),
     )
     print(f"written: {target} and its card")
 
 
-def card(about: dict[str, Any], target: Path, parameters: int, tables: str) -> str:
+def card(about: dict[str, Any], target: Path, parameters: int, tables: str, history: str) -> str:
     """What somebody who uses the weights should know, all of it from the file itself and the tables."""
     recipe = about["recipe"]
     height, width = about["size"]
@@ -154,7 +169,7 @@ def card(about: dict[str, Any], target: Path, parameters: int, tables: str) -> s
 | data | simulated pairs, sha256 of the data set `{about["data"]}` |
 | validation | {json.dumps(about["metrics"])} |
 
-Recipe: {fields}.
+Recipe: {fields}. {history}
 
 ## Measured
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import subprocess
 import sys
@@ -142,6 +143,37 @@ def test_a_saved_file_holds_everything(tmp_path: Path) -> None:
     labels = column(found["/world/camera/labels"], "SegmentationImage:buffer")
     raw = np.array(labels[1]).ravel().astype(np.uint8).tobytes()
     np.testing.assert_array_equal(np.frombuffer(raw, np.uint16).reshape(24, 32), make_motion().labels)
+
+
+def test_an_object_that_is_gone_is_cleared_and_no_other(tmp_path: Path) -> None:
+    """The viewer does not draw a pose where the same time holds a clear of it, in whatever order they came."""
+    pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
+    path = tmp_path / "view.rrd"
+    before, after = pair_moments(frame(5.0), frame(5.5), make_motion())
+    with open_viewer("test", save=path) as viewer:
+        viewer.show(lambda: [before, dataclasses.replace(after, objects=after.objects[:1])])
+    found = read_back(path)
+    assert column(found["/world/objects/001"], "Clear:is_recursive") == []
+    assert column(found["/world/objects/002"], "Clear:is_recursive") == [[False]]
+    assert not any("Clear" in name for one in found["/world/objects"] for name in one.to_record_batch().schema.names)
+
+
+def test_arrows_lie_before_what_they_belong_to(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
+    path = tmp_path / "view.rrd"
+    with open_viewer("test", save=path) as viewer:
+        viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))
+    found = read_back(path)
+    tip = np.add(column(found["/world/motion"], "Arrows3D:origins")[1][0], [0.03, 0, 0])
+    # On the ray through the centre, a centimetre nearer than the nearest of the object's points.
+    center = np.array([-0.2, -0.1, 0.9])
+    np.testing.assert_allclose(np.cross(tip, center), 0, atol=1e-6)
+    mask = make_motion().labels == 1
+    ranges = np.linalg.norm(geometry.back_project(frame(0).depth, CAMERA)[mask], axis=1)
+    assert np.linalg.norm(tip) == pytest.approx(np.percentile(ranges, 2) - 0.01, abs=1e-5)
+    assert column(found["/world/captions"], "Points3D:labels")[1] == ["object 1: 3.0 cm, 11°"]
+    caption = column(found["/world/captions"], "Points3D:positions")[1][0]
+    assert geometry.project(np.array([caption], np.float64), CAMERA)[0, 1] < np.nonzero(mask)[0].min()
 
 
 def test_objects_points_have_their_colour_and_the_rest_is_grey(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from objectflow.errors import MissingExtraError, StorageError, ViewerError
 from objectflow.frame import RgbdFrame
 from objectflow.view import colors
 from objectflow.view.flow import flow_range
-from objectflow.view.moments import NO_TRACK, NO_TRACK_NAME, Moment
+from objectflow.view.moments import NO_TRACK, NO_TRACK_NAME, Array, Moment
 
 try:
     import rerun as rr
@@ -53,6 +53,7 @@ class RerunViewer:
         if window:
             _check_display()
         self._shown: set[int] = set()
+        self._drawn: set[int] = set()
         self._names: dict[int, str] = {}
         self._save, self._temporary = save, None if save is None else _temporary_beside(save)
         self._stream = rr.RecordingStream(APPLICATION, recording_id=f"{title}-{time.time_ns()}")
@@ -149,30 +150,44 @@ class RerunViewer:
         world = geometry.transform(moment.world_T_camera, points)
         grey = _greyed(frame)[thin][kept]
         # A point as wide as the gap to the next one makes surfaces look whole.
-        radii = 0.6 * step * points[:, 2] / frame.camera.fx
+        radii = 0.75 * step * points[:, 2] / frame.camera.fx
         by_object = grey if moment.ids is None else _color_ids(grey, moment.ids[thin][kept])
         by_flow = grey if moment.scene_flow is None else _color_flow(grey, moment.scene_flow[thin][kept])
         self._log("world/points/by_object", rr.Points3D(world, colors=by_object, radii=radii))
         self._log("world/points/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
 
     def _show_objects(self, moment: Moment) -> None:
-        moved = [(obj, obj.way) for obj in moment.objects if obj.way is not None]
+        moved = [(obj, obj.way, *_beside(moment, obj.id, obj.way[1])) for obj in moment.objects if obj.way is not None]
+        # Darker than the points, which they lie before.
+        shades = [tuple(channel // 2 for channel in colors.object_color(obj.id)) for obj, *_ in moved]
         self._log(
             "world/motion",
             rr.Arrows3D(
-                origins=np.array([way[0] for _, way in moved]).reshape(-1, 3),
-                vectors=np.array([way[1] - way[0] for _, way in moved]).reshape(-1, 3),
-                colors=[colors.object_color(obj.id) for obj, _ in moved],
-                labels=[f"{obj.name}: {obj.caption}" for obj, _ in moved],
+                origins=np.array([way[0] + before for _, way, before, _ in moved]).reshape(-1, 3),
+                vectors=np.array([way[1] - way[0] for _, way, _, _ in moved]).reshape(-1, 3),
+                colors=shades,
                 radii=0.003,
             ),
         )
-        # What is not seen at this time is not drawn.
-        self._log("world/objects", rr.Clear(recursive=True))
+        self._log(
+            "world/captions",
+            rr.Points3D(
+                np.array([above for *_, above in moved]).reshape(-1, 3),
+                colors=shades,
+                labels=[f"{obj.name}: {obj.caption}" for obj, *_ in moved],
+                show_labels=True,
+                radii=0.0,
+            ),
+        )
+        # What is not seen any more is not drawn. Rerun places nothing at a time that holds a clear of it, too.
+        present = {obj.id for obj in moment.objects}
+        for number in sorted(self._drawn - present):
+            self._log(f"world/objects/{number:03d}", rr.Clear(recursive=False))
+        self._drawn = present
         for obj in moment.objects:
             path, pose = f"world/objects/{obj.id:03d}", obj.world_T_object
             self._log(path, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
-            self._log(path, rr.TransformAxes3D(axis_length=0.05))
+            self._log(path, rr.TransformAxes3D(axis_length=0.08))
 
     def _log(self, path: str, what: rr.AsComponents, *, static: bool = False) -> None:
         self._stream.log(path, what, static=static)
@@ -197,12 +212,18 @@ def _layout() -> rrb.Blueprint:
     def image(name: str, *parts: str) -> rrb.Spatial2DView:
         return rrb.Spatial2DView(origin=CAMERA, contents=[f"+ /{CAMERA}/{part}" for part in parts], name=name)
 
+    # Alone they need not let a picture shine through.
+    labels = rrb.Spatial2DView(
+        origin=CAMERA,
+        contents=[f"+ /{CAMERA}/labels"],
+        name="Labels",
+        overrides={f"{CAMERA}/labels": rr.SegmentationImage.from_fields(opacity=1.0)},
+    )
+
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Tabs(world("Objects", "by_flow"), world("Flow", "by_object"), active_tab=0),
-            rrb.Vertical(
-                image("Colour with masks", "color", "labels"), image("Depth", "depth"), image("Labels", "labels")
-            ),
+            rrb.Vertical(image("Colour with masks", "color", "labels"), image("Depth", "depth"), labels),
             column_shares=[2.4, 1],
         ),
         rrb.BlueprintPanel(expanded=False),
@@ -237,6 +258,26 @@ def _color_flow(grey: NDArray[np.uint8], scene_flow: NDArray[np.float32]) -> NDA
     strength = np.clip(np.linalg.norm(moved[known], axis=-1) / full, 0, 1)[:, None] ** 0.5
     painted[known] = np.rint(grey[known] + (wheel - grey[known]) * strength).astype(np.uint8)
     return painted
+
+
+def _beside(moment: Moment, number: int, center: Array) -> tuple[Array, Array]:
+    """Where an object hides nothing, and nothing hides it: a shift (3,) and a place (3,), both in the world.
+
+    The shift carries its centre to just before its surface, towards the camera, for arrows; the place lies beyond its
+    end towards the image's top edge, for a caption.
+    """
+    frame = moment.frame
+    mask = np.zeros_like(frame.valid) if moment.ids is None else (moment.ids == number) & frame.valid
+    if not mask.any():
+        return np.zeros(3), center
+    eye = moment.world_T_camera[:3, 3]
+    surface = geometry.transform(moment.world_T_camera, geometry.back_project(frame.depth, frame.camera)[mask])
+    ranges, far = np.linalg.norm(surface - eye, axis=1), float(np.linalg.norm(center - eye))
+    before = min(0.0, float(np.percentile(ranges, 2)) - 0.01 - far) * (center - eye) / max(far, 1e-9)
+    rows, columns = np.nonzero(mask)
+    camera, row, depth = frame.camera, rows[0] - 0.04 * frame.camera.height, frame.depth[rows[0], columns[0]]
+    above = np.array([(columns.mean() - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, 1.0]) * depth
+    return before, geometry.transform(moment.world_T_camera, above)
 
 
 def _temporary_beside(path: Path) -> Path:
