@@ -16,7 +16,7 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
-SECONDS = 60.0
+SECONDS = 180.0
 """Before a page or an answer that does not come is given up."""
 
 
