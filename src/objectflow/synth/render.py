@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.synth.camera_rays import pixel_rays
 from objectflow.synth.placement import Placement, object_numbers
+from objectflow.synth.traced import TracedData, TracedModel, tighten
 from objectflow.synth.tracer import cycles_freed, find_device, import_tracer, quiet
 
 DEPTH_CLIP = float(2**20)
@@ -96,17 +97,10 @@ class Renderer:
         """Colour (B, H, W, 3), depth (B, H, W) and geom number (B, H, W), -1 = none, of B placements."""
         wp, tracer = self._warp, self._tracer
         worlds = len(placement.camera_position)
-        on_device = tracer.put_model(model)
-        # Nothing is simulated here: no room for contacts is needed.
-        data = tracer.make_data(model, nworld=worlds, nconmax=0, njmax=0)
-        data.geom_xpos.assign(placement.geom_position)
-        data.geom_xmat.assign(placement.geom_rotation)
-        data.cam_xpos.assign(placement.camera_position)
-        data.cam_xmat.assign(placement.camera_rotation)
-        data.light_xpos.assign(placement.light_position)
-        data.light_xdir.assign(placement.light_direction)
+        on_device, data = TracedModel(tracer, wp, model), TracedData.of(wp, placement)
         context = self._create_context(model, worlds)
         tracer.refit_bvh(on_device, data, context)
+        tighten(model, placement, context)
         tracer.render(on_device, data, context)
         self._kernels.setdefault(_kernel_key(model, context), context._megakernel)
 

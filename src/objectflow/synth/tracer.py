@@ -89,8 +89,8 @@ def _without_standard_error() -> Iterator[None]:
 def cycles_freed() -> Iterator[None]:
     """Free at once what refers to itself.
 
-    `put_model` leaves functions behind that refer to each other and to the model. Python frees them only when it next
-    goes through everything there is, hundreds of scenes later, and does not know how many megabytes a model holds.
+    mujoco-warp leaves objects behind that refer to each other and to the scene. Python frees them only when it next
+    goes through everything there is, hundreds of scenes later, and does not know how many megabytes a scene holds.
     What is made here stays young as long as nothing is collected meanwhile, and going through the young is quick.
     """
     enabled = gc.isenabled()
