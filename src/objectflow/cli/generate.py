@@ -20,6 +20,8 @@ EXAMPLES = """\
   objectflow generate --out data --split test --sequences 30
   objectflow generate --out data --split train --pairs 25000 --shard 3/16
   objectflow generate --out own --pairs 100 --mesh-folder meshes --texture-folder photographs
+  objectflow generate --out wild --preset wild --pairs 1000 --mesh-folder meshes --mesh-share 0.3
+  objectflow generate --out unseen --preset wild --split test --pairs 40 --mesh-folder meshes --every-mesh
 """
 
 
@@ -50,7 +52,8 @@ class Generate:
     """Of everything random."""
 
     preset: str = "paper"
-    """paper (1-30 objects, 320x240) or small (1-6 objects, 160x120)."""
+    """paper (1-30 objects fall, 320x240), small (1-6 objects, 160x120), or wild: tables, floors, bins and walls, 1-20
+    objects of which 0-8 move in many ways, some cameras too; 3 to 60 frames of 60 Hz between the two of a pair."""
 
     workers: int = max(1, os.cpu_count() or 1)
     """Processes on this machine."""
@@ -70,31 +73,53 @@ class Generate:
     mesh_folder: Path | None = None
     """Meshes (ShapeNet layout, or any OBJ, STL, PLY, GLB) instead of the procedural objects."""
 
+    mesh_share: float = 1.0
+    """Share of the objects that are meshes, where there is a folder of them; the others are procedural."""
+
+    every_mesh: bool = False
+    """Take all meshes of the folder, whatever the split: for a test set of shapes that nothing was trained on."""
+
     texture_folder: Path | None = None
-    """Pictures for half of the floors."""
+    """Pictures for half of the floors; in wild scenes for furniture, walls and some objects too."""
 
     def run(self) -> None:
         """Make the shards that are missing, with a progress bar."""
         from objectflow.synth.generate import Job, generate
         from objectflow.synth.maker import Scenes
+        from objectflow.synth.mixed_library import Meshes
         from objectflow.synth.physics import SEQUENCE_FRAMES
+        from objectflow.synth.wild_maker import WildScenes
+        from objectflow.synth.wild_scene import WildSettings
 
         if self.pairs < 1 and self.sequences < 1:
             raise DatasetError("nothing to generate: give --pairs N or --sequences N")
         if self.views < 1 or self.workers < 1:
             raise DatasetError("--views and --workers must be at least 1")
+        if self.mesh_folder is None and (self.mesh_share != 1 or self.every_mesh):
+            raise DatasetError("--mesh-share and --every-mesh are about meshes: give --mesh-folder DIR")
+        meshes = None
+        if self.mesh_folder is not None:
+            meshes = Meshes(self.mesh_folder, self.mesh_share, self.every_mesh)
+        common: dict[str, Any] = {
+            "seed": self.seed,
+            "split": self.split,
+            "views": self.views,
+            "samples": self.samples,
+            "device": self.device,
+            "meshes": meshes,
+            "texture_folder": self.texture_folder,
+        }
         settings = preset_settings(self.preset)
         settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
-        scenes = Scenes(
-            seed=self.seed,
-            split=self.split,
-            settings=settings,
-            views=self.views,
-            samples=self.samples,
-            device=self.device,
-            mesh_folder=self.mesh_folder,
-            texture_folder=self.texture_folder,
-        )
+        scenes: Any
+        wild = None
+        if self.preset == WILD:
+            if self.sequences:
+                raise DatasetError("the preset wild makes pairs: leave --sequences out")
+            wild = WildSettings(settings)
+            scenes = WildScenes(settings=wild, **common)
+        else:
+            scenes = Scenes(settings=settings, **common)
         jobs = []
         if self.pairs:
             jobs.append(Job("pairs", self.split, self.pairs, self.views))
@@ -117,7 +142,7 @@ class Generate:
             pool = self._pool(scenes)
             try:
                 manifest = generate(
-                    self.out, jobs, pool, seed=self.seed, settings=self._recorded(settings), shard=self._shard(),
+                    self.out, jobs, pool, seed=self.seed, settings=self._recorded(settings, wild), shard=self._shard(),
                     report=report,
                 )  # fmt: skip
             finally:
@@ -142,11 +167,17 @@ class Generate:
             return RayActors(scenes, self.ray, self.workers, cuda=self.device == "cuda")
         return InProcess(scenes) if self.workers == 1 else Processes(scenes, self.workers)
 
-    def _recorded(self, settings: Any) -> dict[str, Any]:
+    def _recorded(self, settings: Any, wild: Any) -> dict[str, Any]:
         """What shards must have in common; neither workers nor device change a byte of the labels."""
-        plain = {key: list(value) if isinstance(value, tuple) else value for key, value in vars(settings).items()}
+        plain = _plain(settings)
+        # Only what is not as it ever was: sets made before there was a choice are continued.
+        more: dict[str, Any] = {} if self.mesh_share == 1 else {"mesh_share": self.mesh_share}
+        more |= {"every_mesh": True} if self.every_mesh else {}
+        if wild is not None:
+            more["wild"] = {key: value for key, value in _plain(wild).items() if key != "scene"}
         return {
             "preset": self.preset,
+            **more,
             "samples": self.samples,
             "meshes": None if self.mesh_folder is None else str(self.mesh_folder),
             "textures": None if self.texture_folder is None else str(self.texture_folder),
@@ -163,6 +194,13 @@ class Generate:
         return number, total
 
 
+WILD = "wild"
+
+
+def _plain(settings: Any) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(settings).items()}
+
+
 def preset_settings(name: str) -> Any:
     """The `SceneSettings` of a preset.
 
@@ -170,10 +208,12 @@ def preset_settings(name: str) -> Any:
         DatasetError: an unknown name.
     """
     from objectflow.synth.scene import SceneSettings
+    from objectflow.synth.wild_scene import SCENE
 
     presets = {
         "paper": SceneSettings(),
         "small": SceneSettings(objects=(1, 6), width=160, height=120, focal=(118.23, 118.23)),
+        WILD: SCENE,
     }
     if name not in presets:
         raise DatasetError(f"unknown preset {name!r}: choose one of {', '.join(presets)}")

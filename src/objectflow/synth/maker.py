@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from objectflow.errors import DatasetError
-from objectflow.synth.objects import open_library
+from objectflow.synth.mixed_library import Meshes, open_mixed
 from objectflow.synth.physics import RejectedSceneError
 from objectflow.synth.render import Device, Renderer
 from objectflow.synth.rows import Clock, Draft, make_pairs, make_sequence
@@ -31,7 +31,8 @@ class Scenes:
         views: pairs a scene, each through a camera of its own.
         samples: colour samples a pixel, 1 or 4.
         device: where pictures are made, "cpu" or "cuda".
-        mesh_folder, texture_folder: meshes instead of the procedural library, pictures for floors.
+        meshes: a folder of them, and how they are mixed with the procedural objects.
+        texture_folder: pictures for floors.
     """
 
     seed: int
@@ -40,7 +41,7 @@ class Scenes:
     views: int = 1
     samples: int = 4
     device: Device = "cpu"
-    mesh_folder: Path | None = None
+    meshes: Meshes | None = None
     texture_folder: Path | None = None
 
     def __post_init__(self) -> None:
@@ -49,7 +50,7 @@ class Scenes:
 
     def __call__(self) -> Maker:
         """The maker, with its library open and its renderer ready."""
-        library = open_library(self.mesh_folder)
+        library = open_mixed(self.meshes)
         renderer = Renderer(self.settings.width, self.settings.height, samples=self.samples, device=self.device)
         settings = dataclasses.replace(self.settings, images=self.texture_folder)
         # What a mesh folder has sorted out already; the procedural library has nothing broken.

@@ -95,8 +95,8 @@ def draw_scene_and_models(
     """
     check_settings(settings)
     count = int(rng.integers(settings.objects[0], settings.objects[1] + 1))
-    models = tuple(_load(rng, library, split, skip) for _ in range(count))
-    scales = [_draw_scale(rng, model, settings) for model in models]
+    models = tuple(load_any(rng, library, split, skip) for _ in range(count))
+    scales = [draw_scale(rng, model, settings) for model in models]
     # Normal coordinates in four dimensions have no direction that they prefer, so neither have the rotations.
     rotations = Rotation.from_quat(rng.normal(size=(count, 4)))
     centers = _draw_start(rng, models, scales, rotations.as_matrix(), settings)
@@ -124,7 +124,7 @@ def draw_scene_and_models(
         objects=tuple(objects),
         floor=draw_floor(rng, images, settings.image_share),
         lights=draw_lights(rng, settings.lights),
-        intrinsics=_draw_intrinsics(rng, settings),
+        intrinsics=draw_intrinsics(rng, settings),
         views=tuple(_draw_view(rng, settings) for _ in range(settings.views)),
     )
     return scene, models
@@ -146,7 +146,14 @@ def check_settings(settings: SceneSettings) -> None:
         raise DatasetError("scene settings: at most 4 lights, at least 1 view, a size jitter of at least 1")
 
 
-def _load(rng: np.random.Generator, library: Library, split: str, skip: Callable[[str], None] | None) -> ObjectModel:
+def load_any(
+    rng: np.random.Generator, library: Library, split: str, skip: Callable[[str], None] | None
+) -> ObjectModel:
+    """Any model of a split that can be loaded; `skip` is told of those that cannot.
+
+    Raises:
+        DatasetError: an unknown split, or too many broken models in a row.
+    """
     refs = library.refs(split)
     if not refs:
         raise DatasetError(f"the library has no models in split {split}: choose another split, or add meshes")
@@ -160,7 +167,8 @@ def _load(rng: np.random.Generator, library: Library, split: str, skip: Callable
     raise DatasetError(f"{_TRIES_TO_LOAD} models in a row cannot be loaded: see the notes above for their names")
 
 
-def _draw_scale(rng: np.random.Generator, model: ObjectModel, settings: SceneSettings) -> float:
+def draw_scale(rng: np.random.Generator, model: ObjectModel, settings: SceneSettings) -> float:
+    """Times the model's own size, which the settings limit."""
     longest = float(np.ptp(model.vertices, axis=0).max())
     jitter = math.log(settings.size_jitter)
     wanted = longest * math.exp(rng.uniform(-jitter, jitter))
@@ -184,7 +192,8 @@ def _draw_start(
     return np.asarray(boxes - np.einsum("nij,nj->ni", rotations, (high + low) / 2))
 
 
-def _draw_intrinsics(rng: np.random.Generator, settings: SceneSettings) -> Camera:
+def draw_intrinsics(rng: np.random.Generator, settings: SceneSettings) -> Camera:
+    """A camera of the settings' size."""
     unit = settings.width / 320
     focal = float(rng.uniform(*settings.focal)) * unit
     shift = rng.uniform(-1, 1, 2) * settings.principal_shift * unit
