@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-import objectflow
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import SequenceRow
 from objectflow.dataset.shards import open_sequences
+from objectflow.estimator import Estimator
+from objectflow.evaluation.methods import parse_methods
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking import Tracker
 
@@ -39,13 +40,12 @@ class Settings:
     data: Path
     """Data set with sequences."""
     methods: tuple[str, ...] = ("consensus",)
-    """Methods by name; the oracle is always there."""
+    """Methods as `objectflow evaluate` names them: consensus, or sceneflownet-c-vl:weights=FILE; the oracle is always
+    there."""
     split: str = "test"
     """Part of the data set."""
     sequences: int = 20
     """How many."""
-    weights: Path | None = None
-    """For methods that need some."""
 
 
 @dataclasses.dataclass
@@ -75,10 +75,13 @@ def main(settings: Settings) -> None:
     table = Table(title=f"{len(sequences)} sequences of {len(sequences[0])} frames")
     for column in ("method", "followed", "switches", "a followed step", "tracks", "median error cm", "90% below cm"):
         table.add_column(column, justify="left" if column == "method" else "right")
-    for method in dict.fromkeys((*settings.methods, ORACLE)):
+    estimators: dict[str, Estimator | None] = {
+        spec.label: spec.make() for spec in parse_methods(settings.methods, camera="static")
+    }
+    for method, estimator in (estimators | {ORACLE: None}).items():
         score = Score()
         for frames in sequences:
-            add_sequence(score, frames, motions(method, frames, settings.weights))
+            add_sequence(score, frames, motions(estimator, frames))
         share = f"{score.followed}/{score.seen} ({score.followed / max(1, score.seen):.0%})"
         rate = f"{score.switches / max(1, score.followed):.3f}"
         median, most = (f"{np.percentile(score.errors, q):.2f}" for q in (50, 90)) if score.errors else ("-", "-")
@@ -86,10 +89,8 @@ def main(settings: Settings) -> None:
     Console(width=110).print(table)
 
 
-def motions(method: str, frames: Sequence[SequenceRow], weights: Path | None) -> Iterator[SceneMotion]:
-    """The motion of every two frames that follow each other."""
-    options = {} if weights is None or method in ("consensus", ORACLE) else {"weights": weights}
-    estimator = None if method == ORACLE else objectflow.load(method, camera="static", **options)
+def motions(estimator: Estimator | None, frames: Sequence[SequenceRow]) -> Iterator[SceneMotion]:
+    """The motion of every two frames that follow each other; without an estimator the true one."""
     for prev, curr in itertools.pairwise(frames):
         yield true_motion(prev, curr) if estimator is None else estimator(prev.image, curr.image)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import json
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -142,15 +144,41 @@ def test_still_and_doubtful_objects_get_no_track() -> None:
     assert tracker.tracks == []
 
 
-def test_what_is_long_gone_is_forgotten_and_memory_stays_flat() -> None:
+@pytest.mark.parametrize(("absent", "tracks"), [(4, 1), (6, 2)])
+def test_what_is_long_gone_is_forgotten(absent: int, tracks: int) -> None:
+    """It comes back to where it was: known as long as it is remembered, a new thing after that."""
     tracker = Tracker(TrackerSettings(forget=5))
+    there, gone = plates({1: (0.02, 0.0)}, {1: (0.0, 0.0)}), plates({}, {})
+    again = plates({1: (0.04, 0.0)}, {1: (0.02, 0.0)})
+    tracker.update(0, there[0], 1, there[1])
+    for t in range(1, 1 + absent):
+        tracker.update(t, gone[0], t + 1, gone[1])
+    assert tracker.update(absent + 1, again[0], absent + 2, again[1]) == {1: tracks}
+    assert len(tracker.tracks) == tracks
+
+
+def test_memory_stays_flat_while_things_come_and_go() -> None:
+    tracker = Tracker(TrackerSettings(forget=5, history=2))
     rng = np.random.default_rng(0)
-    for t in range(1, 60):
-        x, y = rng.uniform(-0.4, 0.4), rng.uniform(-0.3, 0.3)
-        frame, motion, _ = plates({1: (x, y)}, {1: (x + 0.02, y)})
-        tracker.update(t - 1, frame, t, motion)
-    assert len(tracker._memories) <= 6
-    assert all(len(memory.points) <= 600 for memory in tracker._memories.values())
+    where = rng.uniform(-0.4, 0.4, (150, 2)) * (1, 0.7)
+    shots = [plates({1: (x, y)}, {1: (x + 0.02, y)}) for x, y in where]
+
+    def follow(first: int, last: int) -> int:
+        """Bytes in use afterwards."""
+        for t in range(first, last):
+            tracker.update(t, shots[t][0], t + 1, shots[t][1])
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        early, late = follow(0, 50), follow(50, 150)
+    finally:
+        tracemalloc.stop()
+    assert max(track.id for track in tracker.tracks) > 30  # many came
+    assert len(tracker.tracks) <= 6
+    # A surface of 600 points takes 14 KB: a hundred more of them would show.
+    assert late - early < 50_000
 
 
 def test_overlap_of_footprints() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
 
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 
 from objectflow.cli import main
+from objectflow.view.moments import Moment
+from objectflow.view.viewer import NoViewer, open_viewer
 
 chunk = pytest.importorskip("rerun.chunk", reason="rerun is not installed (extra `view`)")
 
@@ -108,6 +111,50 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         error = capsys.readouterr().err
         assert words in error
         assert error.count("\n") == 1
+
+
+EVERYTHING = {
+    *(f"/world/camera{part}" for part in ("", "/color", "/depth", "/labels")),
+    *("/world/points/by_object", "/world/points/by_flow", "/world/motion", "/world/captions"),
+    *(f"/world/objects/00{number}" for number in (1, 2, 3)),
+}
+"""What a recording of the demo's pair holds: three things move in it."""
+
+
+@pytest.mark.parametrize("verb", ["estimate", "run", "live"])
+def test_what_is_found_is_saved_while_it_is_found(verb: str, tmp_path: Path) -> None:
+    saved = tmp_path / "a.rrd"
+    gap = ["--min-gap", "0"] if verb == "live" else []
+    assert main([verb, str(PAIR), "--out", str(tmp_path / "out"), "--save-view", str(saved), *gap]) == 0
+    assert {one.entity_path for one in chunk.RrdReader(str(saved)).stream()} >= EVERYTHING
+    assert frames_of(saved) == [0, 1]
+    assert frames_of(saved, "/world/objects/003") == [0, 1]
+
+
+@pytest.mark.parametrize("verb", ["estimate", "run", "live"])
+def test_view_opens_a_window_and_without_it_nothing_is_opened(
+    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, object]] = []
+    shown: list[Moment] = []
+
+    class Window(NoViewer):
+        def show(self, make: Callable[[], Iterable[Moment]]) -> None:
+            shown.extend(make())
+
+    def remember(title: str, **options: object) -> NoViewer:
+        asked.append({"title": title, **options})
+        off = open_viewer(title, window=False)
+        assert isinstance(off, NoViewer)
+        return Window() if options["window"] else off
+
+    monkeypatch.setattr("objectflow.cli.arguments.open_viewer", remember)
+    command = [verb, str(PAIR), "--method", "zero", *(["--min-gap", "0"] if verb == "live" else [])]
+    assert main([*command, "--out", str(tmp_path / "off")]) == 0
+    assert shown == []
+    assert main([*command, "--out", str(tmp_path / "on"), "--view"]) == 0
+    assert [moment.number for moment in shown] == [0, 1]
+    assert asked == [{"title": "pair", "window": window, "save": None} for window in (False, True)]
 
 
 def test_no_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

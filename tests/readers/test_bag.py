@@ -108,6 +108,36 @@ def test_several_topics_are_listed_ready_to_paste_and_can_be_chosen(tmp_path: Pa
         open_source(path, color_topic="/middle")
 
 
+def test_live_takes_topics_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = BagBuilder("ros1")
+    for number, frame in enumerate(frames(2)):
+        for name in ("left", "right"):
+            bag.image(f"/{name}/image", 5.0 + number, frame.color, "rgb8")
+        bag.image(DEPTH, 5.0 + number, np.rint(frame.depth * 1000).astype(np.uint16), "16UC1")
+        bag.info("/right/camera_info", 5.0 + number, frame)
+    command = ["live", str(bag.write(tmp_path / "a.bag")), "--method", "zero", "--speed", "10"]
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert "--color-topic /left/image --color-topic /right/image" in error
+    assert main([*command, "--color-topic", "/right/image"]) == 0
+    assert "1 estimates" in capsys.readouterr().out
+
+
+def test_a_recording_of_the_realsense_driver_is_sent_to_its_reader(tmp_path: Path) -> None:
+    """Its depth is not aligned, though it may have colour's size."""
+    frame = frames(1)[0]
+    color, depth = (f"/device_0/sensor_{k}/{name}_0/image/data" for k, name in enumerate(("Color", "Depth")))
+    bag = BagBuilder("ros1")
+    bag.image(color, 5.0, frame.color, "rgb8")
+    bag.image(depth, 5.0, np.rint(frame.depth * 1000).astype(np.uint16), "16UC1")
+    bag.info("/device_0/sensor_0/Color_0/info/camera_info", 5.0, frame)
+    path = bag.write(tmp_path / "a.bag")
+    with pytest.raises(ReaderError, match="not aligned to colour: `objectflow live realsense:"):
+        open_source(path)
+    # Whoever names them knows what they are.
+    assert len(open_source(path, color_topic=color, depth_topic=depth)) == 1
+
+
 def test_messages_are_paired_by_their_own_clock_and_not_by_the_recorders(tmp_path: Path) -> None:
     bag = BagBuilder("sqlite3")
     written = frames(3)

@@ -26,6 +26,7 @@ class Driver:
         self.real_time = True
         self.streams: list[tuple[Any, ...]] = []
         self.file: tuple[str, bool] | None = None
+        self.format = "rgb8"
 
     def module(self) -> ModuleType:
         out = ModuleType("pyrealsense2")
@@ -33,7 +34,8 @@ class Driver:
         out.config = lambda: self  # type: ignore[attr-defined]
         out.align = lambda stream: SimpleNamespace(process=lambda frames: frames)  # type: ignore[attr-defined]
         out.stream = SimpleNamespace(color="color", depth="depth")  # type: ignore[attr-defined]
-        out.format = SimpleNamespace(rgb8="rgb8", z16="z16")  # type: ignore[attr-defined]
+        out.format = SimpleNamespace(rgb8="rgb8", bgr8="bgr8", z16="z16")  # type: ignore[attr-defined]
+        out.pipeline_wrapper = lambda pipeline: pipeline  # type: ignore[attr-defined]
         return out
 
     # The configuration.
@@ -45,6 +47,10 @@ class Driver:
 
     def enable_device_from_file(self, path: str, repeat_playback: bool) -> None:
         self.file = path, repeat_playback
+
+    def resolve(self, pipeline: Any) -> Driver:
+        assert self.started == 0
+        return self
 
     # The pipeline, its profile and its device.
     def start(self, config: Any) -> Driver:
@@ -77,10 +83,19 @@ class Driver:
             raise RuntimeError("Frame didn't arrive within 5000")
         self.left -= 1
         number = self.left
+        # A recording gives a set whenever one of the two is new.
+        count = number if self.file is None else number // 2
         color = SimpleNamespace(
-            get_data=lambda: np.full((6, 8, 3), number, np.uint8), get_timestamp=lambda: 1000.0 * (100 - number)
+            get_data=lambda: np.full((6, 8, 3), [count, 1, 2], np.uint8),
+            get_timestamp=lambda: 1000.0 * (100 - count),
+            get_frame_number=lambda: count,
+            get_profile=lambda: SimpleNamespace(format=lambda: self.format),
         )
-        depth = SimpleNamespace(get_data=lambda: np.full((6, 8), 4000, np.uint16))
+        behind = 0.0 if self.file is None else 40.0 * (number % 2)
+        depth = SimpleNamespace(
+            get_data=lambda: np.full((6, 8), 4000 + int(behind), np.uint16),
+            get_timestamp=lambda: 1000.0 * (100 - count) - behind,
+        )
         return SimpleNamespace(get_color_frame=lambda: color, get_depth_frame=lambda: depth)
 
 
@@ -105,12 +120,41 @@ def test_frames_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_recording_is_read_to_its_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    driver = Driver(5)
+    driver = Driver(10)
     (tmp_path / "a.bag").write_bytes(b"")
     frames = list(reader(monkeypatch, driver).read_realsense(tmp_path / "a.bag"))
-    assert len(frames) == 5
+    # Each colour image once, with the depth of its own time rather than the one before.
+    assert [frame.color[0, 0, 0] for frame in frames] == [4, 3, 2, 1, 0]
+    assert all((frame.depth == 1.0).all() for frame in frames)
     assert driver.file == (str(tmp_path / "a.bag"), False)
+    assert driver.streams == [("color",), ("depth",)]
     assert not driver.real_time
+    assert (driver.started, driver.stopped) == (1, 1)
+
+
+def test_the_verb_plays_a_recording(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    driver = Driver(10)
+    reader(monkeypatch, driver)
+    (tmp_path / "a.bag").write_bytes(b"")
+    driver.real_time = False
+    # Frames come at once here; a method sees the newest one alone.
+    code = main(["live", f"realsense:{tmp_path / 'a.bag'}", "--method", "zero", "--min-gap", "0"])
+    assert driver.real_time
+    assert code == 0 or "no two frames" in capsys.readouterr().err
+    assert driver.stopped == 1
+
+
+def test_colour_of_other_formats(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(20)
+    driver.format = "bgr8"
+    frame = next(reader(monkeypatch, driver).read_realsense())
+    assert frame.color[0, 0].tolist() == [2, 1, 4]
+    driver = Driver(20)
+    driver.format = "yuyv"
+    with pytest.raises(ReaderError, match="yuyv"):
+        next(reader(monkeypatch, driver).read_realsense())
     assert driver.stopped == 1
 
 

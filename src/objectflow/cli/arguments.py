@@ -53,8 +53,12 @@ class MethodArguments(CameraArguments):
     weights: Annotated[str | None, option("FILE|DIR|hf://OWNER/NAME", "the released ones")] = None
     """Weights of a learned method."""
 
-    rigid: Annotated[Literal["none", "average", "refine"] | None, option("{none,average,refine}", "average")] = None
-    """Flow of a learned method: each pixel's own, its object's mean motion, or that aligned with the depth."""
+    rigid: Annotated[
+        Literal["none", "average", "solve", "refine"] | None,
+        option("{none,average,solve,refine}", "average; for rigidmatch solve"),
+    ] = None
+    """Flow of a learned method: each pixel's own, its object's mean motion (rigidmatch: the one that fits its matches
+    best), or that aligned with the depth."""
 
     device: Annotated[str | None, option("NAME", "cuda where there is one")] = None
     """Where a learned method computes: cpu, cuda or cuda:N."""
@@ -67,6 +71,17 @@ class MethodArguments(CameraArguments):
     def estimator(self) -> Estimator:
         """The method, ready to be called."""
         return load(self.method, **self.method_options())
+
+
+@dataclass(frozen=True, kw_only=True)
+class TopicArguments:
+    """Which images of a bag."""
+
+    color_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
+    """Of a bag: where the colour images are."""
+
+    depth_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
+    """Of a bag: where the depth images are, registered to colour."""
 
 
 @dataclass(frozen=True, kw_only=True)

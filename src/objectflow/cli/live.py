@@ -14,7 +14,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from objectflow import files, geometry
-from objectflow.cli.arguments import MethodArguments, ViewArguments, option
+from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import check_not_below_a_file, quiet_libraries
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
@@ -27,25 +27,28 @@ from objectflow.view.moments import tracked_moments
 EXAMPLES = """\
   objectflow live realsense
   objectflow live realsense --view
+  objectflow live realsense:recorded.bag
   objectflow live realsense --min-gap 0.5 --seconds 60 --out session
   objectflow live table.bag --method consensus
   objectflow live rgbd_dataset_freiburg1_desk --camera-file fr1 --speed 0.5
 """
 
+REALSENSE = "realsense"
 HISTORY = 100_000
 """Poses that are kept of each object for `--out`: an hour at the rate of the fastest method."""
 
 
 @dataclass(frozen=True)
-class Live(ViewArguments, MethodArguments):
+class Live(ViewArguments, TopicArguments, MethodArguments):
     """Follow objects between the newest frames, as fast as the method can; frames that come meanwhile are dropped.
 
     Prints a line an estimate: the objects' ids, speeds and turns. Ctrl-C ends it. With --out, trajectories are written
     at the end.
     """
 
-    source: Annotated[Positional[str], option("realsense | SOURCE")]
-    """A RealSense camera, or a recording that is played at its own speed: whatever `objectflow run` reads."""
+    source: Annotated[Positional[str], option("realsense | realsense:FILE | SOURCE")]
+    """A RealSense camera, a recording of its driver (.bag, .db3), or whatever `objectflow run` reads; recordings are
+    played at their own speed."""
 
     min_gap: float = 0.3
     """Seconds between two compared frames at least: slow things must have had the time to move."""
@@ -96,11 +99,15 @@ class Live(ViewArguments, MethodArguments):
             print(f"{len(tracker.tracks)} objects followed, written to {self.out}")
 
     def _open(self) -> Iterable[RgbdFrame]:
-        if self.source == "realsense":
+        device, _, recording = self.source.partition(":")
+        if device == REALSENSE:
             from objectflow.readers.realsense import read_realsense
 
-            return read_realsense()
-        return replay(open_source(Path(self.source), self.camera_options()), speed=self.speed, loop=self.loop)
+            return read_realsense(Path(recording) if recording else None, real_time=True)
+        source = open_source(
+            Path(self.source), self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic
+        )
+        return replay(source, speed=self.speed, loop=self.loop)
 
 
 def describe(step: Step) -> str:

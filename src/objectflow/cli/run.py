@@ -23,7 +23,7 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow import __version__, files
-from objectflow.cli.arguments import MethodArguments, ViewArguments, option
+from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
 from objectflow.dataset.manifest import hash_file
 from objectflow.errors import ReaderError, ResultError, StorageError
@@ -50,7 +50,7 @@ LONGEST_TABLE = 40
 
 
 @dataclass(frozen=True)
-class Run(ViewArguments, MethodArguments):
+class Run(ViewArguments, TopicArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: one result folder a pair, a table, and a trajectory an object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
@@ -66,12 +66,6 @@ class Run(ViewArguments, MethodArguments):
 
     dt: Annotated[float | None, option("SECONDS", "every frame")] = None
     """Take a frame every so many seconds instead; things must have moved between two frames."""
-
-    color_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
-    """Of a bag: where the colour images are."""
-
-    depth_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
-    """Of a bag: where the depth images are, registered to colour."""
 
     def run(self) -> None:
         """Read, estimate and write pair by pair."""

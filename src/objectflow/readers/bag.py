@@ -20,6 +20,8 @@ from objectflow.readers.tum import MAX_TIME_DIFFERENCE, associate
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO = "sensor_msgs/msg/CameraInfo"
+REALSENSE = "/device_"
+"""What the topics of a RealSense driver's own recordings start with; their depth is never aligned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +96,11 @@ def open_bag(
     if messages.cut_off:
         warnings.warn(CutOffWarning(f"{path}: cut off in the middle: what is whole is used"), stacklevel=2)
     kinds = _kinds(messages)
+    if color_topic is None and depth_topic is None and kinds and all(topic.startswith(REALSENSE) for topic in kinds):
+        raise ReaderError(
+            f"{path}: a recording of the RealSense driver, whose depth is not aligned to colour: "
+            f"`objectflow live realsense:{path}` aligns it"
+        )
     color = _choose(path, kinds, color_topic, depth=False)
     depth = _choose(path, kinds, depth_topic, depth=True)
     pairs = _associate(path, messages, color, depth)

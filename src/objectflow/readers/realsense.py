@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
+import itertools
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,17 +26,26 @@ PATIENCE_MS = 5000
 
 
 def read_realsense(
-    recording: Path | None = None, *, width: int = 640, height: int = 480, rate: int = 30, serial: str | None = None
+    recording: Path | None = None,
+    *,
+    width: int = 640,
+    height: int = 480,
+    rate: int = 30,
+    serial: str | None = None,
+    real_time: bool = False,
 ) -> Generator[RgbdFrame, None, None]:
     """Frames of a camera for ever, or of a recording to its end; closing the generator stops the camera.
 
     Args:
-        recording: a `.bag` of the RealSense viewer; None opens a camera.
+        recording: what the RealSense viewer or driver recorded, `.bag` or `.db3` (2.59 writes `.db3`); None opens a
+            camera.
         width, height, rate: of colour and depth; a recording keeps its own.
         serial: of the camera, where there are several.
+        real_time: play a recording at its own speed, leaving out what comes too fast, in place of giving every frame.
 
     Raises:
-        ReaderError: no camera, one that cannot do this size, a recording that cannot be read, or frames that stop.
+        ReaderError: no camera, one that cannot do this size, a recording that cannot be read or has no colour or no
+            depth, or frames that stop.
     """
     if recording is not None and not recording.is_file():
         raise ReaderError(f"{recording}: no such file")
@@ -48,39 +58,59 @@ def read_realsense(
             config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
         else:
             config.enable_device_from_file(str(recording), repeat_playback=False)
-            config.enable_stream(rs.stream.color, rs.format.rgb8)
-            config.enable_stream(rs.stream.depth, rs.format.z16)
+            # A format asked for by name is not found in a recording.
+            config.enable_stream(rs.stream.color)
+            config.enable_stream(rs.stream.depth)
+            # Before the start: the first frames would be lost.
+            playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
+            playback.set_real_time(real_time)
         profile = pipeline.start(config)
     except RuntimeError as error:
         what = f"{recording}: not a RealSense recording that can be read" if recording else "no RealSense camera"
         advice = "" if recording else ": plug it in, close other programs that use it, or try another size"
         raise ReaderError(f"{what} ({' '.join(str(error).split())}){advice}") from error
     try:
-        device = profile.get_device()
-        if recording is not None:
-            # Every frame, however slow the method is.
-            device.as_playback().set_real_time(False)
-        scale = float(device.first_depth_sensor().get_depth_scale())
+        scale = float(profile.get_device().first_depth_sensor().get_depth_scale())
         camera = _camera(profile)
-        align = rs.align(rs.stream.color)
-        skip = WARM_UP if recording is None else 0
-        while True:
-            try:
-                frames = align.process(pipeline.wait_for_frames(PATIENCE_MS))
-            except RuntimeError as error:
-                if recording is not None:
-                    return  # its end
-                raise ReaderError(f"the RealSense camera stopped: {error}: is it still plugged in?") from error
-            color, depth = frames.get_color_frame(), frames.get_depth_frame()
-            if not color or not depth:
-                continue
-            if skip > 0:
-                skip -= 1
-                continue
-            yield _frame(color, depth, camera, scale)
+        found = _aligned(pipeline, ends=recording is not None)
+        if recording is None:
+            for color, depth in itertools.islice(found, WARM_UP, None):
+                yield _frame(color, depth, camera, scale)
+        else:
+            yield from _matched(found, camera, scale)
     finally:
         with contextlib.suppress(RuntimeError):  # it may have been unplugged
             pipeline.stop()
+
+
+def _aligned(pipeline: Any, *, ends: bool) -> Iterator[tuple[Any, Any]]:
+    """Colour and aligned depth as the driver puts them together; a source that `ends` may stop."""
+    align = rs.align(rs.stream.color)
+    while True:
+        try:
+            frames = align.process(pipeline.wait_for_frames(PATIENCE_MS))
+        except RuntimeError as error:
+            if ends:
+                return
+            raise ReaderError(f"the RealSense camera stopped: {error}: is it still plugged in?") from error
+        color, depth = frames.get_color_frame(), frames.get_depth_frame()
+        if color and depth:
+            yield color, depth
+
+
+def _matched(found: Iterator[tuple[Any, Any]], camera: Camera, scale: float) -> Iterator[RgbdFrame]:
+    """Each colour image once, with the depth nearest in time.
+
+    A recording that is not played in real time gives a set whenever one of the two is new.
+    """
+    for _, sets in itertools.groupby(found, key=lambda pair: pair[0].get_frame_number()):
+        best: tuple[float, RgbdFrame] | None = None
+        for color, depth in sets:
+            apart = abs(color.get_timestamp() - depth.get_timestamp())
+            if best is None or apart < best[0]:
+                best = apart, _frame(color, depth, camera, scale)
+        if best is not None:
+            yield best[1]
 
 
 def _camera(profile: Any) -> Camera:
@@ -91,6 +121,11 @@ def _camera(profile: Any) -> Camera:
 def _frame(color: Any, depth: Any, camera: Camera, scale: float) -> RgbdFrame:
     # Copies: the driver uses its buffers again.
     pixels = np.array(color.get_data(), dtype=np.uint8)
+    kind = color.get_profile().format()
+    if kind not in (rs.format.rgb8, rs.format.bgr8):
+        raise ReaderError(f"RealSense colour is {kind}: record it as RGB8")
+    if kind == rs.format.bgr8:
+        pixels = np.ascontiguousarray(pixels[..., ::-1])
     metres = np.asarray(depth.get_data(), dtype=np.float32) * np.float32(scale)
     seconds = float(color.get_timestamp()) / 1000
     return RgbdFrame(pixels, metres, camera, timestamp=seconds, name=f"RealSense at {seconds:.3f} s")
