@@ -92,7 +92,7 @@ def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, 
         rows, columns = (min(count, size) for count in octave)
         grid = rng.random((rows, columns), dtype=np.float32)
         # Two cells of wrapped border on each side, so that the interpolation tiles.
-        wrapped = np.pad(grid, 2, mode="wrap")
+        wrapped = cv2.copyMakeBorder(grid, 2, 2, 2, 2, cv2.BORDER_WRAP)
         y = (np.arange(size, dtype=np.float32) + 0.5) * rows / size + 1.5
         x = (np.arange(size, dtype=np.float32) + 0.5) * columns / size + 1.5
         map_x, map_y = np.meshgrid(x, y)
