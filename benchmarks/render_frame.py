@@ -2,7 +2,8 @@
 
 Both draw the same scenes at the same size: colour, depth and labels of textured objects of the library that float
 above a floor, with three lights that cast shadows. The OpenGL renderer runs in software (OSMesa), in a process of its
-own, and is left out where OSMesa is not installed. Every step counts, from a compiled model to arrays in memory.
+own, and is left out where OSMesa is not installed. Every step counts, from a compiled model to arrays in memory. CPU
+seconds are those of all threads: they tell what a busy machine would do if it were not.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import multiprocessing
 import os
 import platform
 import statistics
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -108,20 +110,31 @@ def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
     return spec.compile(), poses, camera[None]
 
 
-def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: int) -> tuple[float, float]:
-    """Median and slowest seconds a frame; the first scene only warms up."""
-    seconds = [each / frames for each in time_each(render, scenes)]
-    return statistics.median(seconds), max(seconds)
+Times = tuple[float, float, float]
+"""Median and slowest seconds a frame, and median seconds of CPU a frame."""
 
 
-def time_ray_tracer(settings: Settings, samples: int) -> tuple[float, float]:
+def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: int) -> Times:
+    """The first scene only warms up."""
+    cpu: list[float] = []
+
+    def render_and_count(scene: Scene) -> None:
+        start = time.process_time()
+        render(scene)
+        cpu.append((time.process_time() - start) / frames)
+
+    seconds = [each / frames for each in time_each(render_and_count, scenes)]
+    return statistics.median(seconds), max(seconds), statistics.median(cpu[-len(seconds) :])
+
+
+def time_ray_tracer(settings: Settings, samples: int) -> Times:
     from objectflow.synth.render import Renderer
 
     renderer = Renderer(settings.width, settings.width * 3 // 4, samples=samples, device=settings.device)
     return time_scenes(make_scenes(settings), lambda scene: renderer.render(*scene), settings.frames)
 
 
-def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[tuple[float, float] | str]) -> None:
+def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[Times | str]) -> None:
     """Puts the times, or why there are none."""
     os.environ["MUJOCO_GL"] = "osmesa"
     try:
@@ -160,17 +173,20 @@ def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[t
     queue.put(time_scenes(make_scenes(settings), render, settings.frames))
 
 
+def add_row(table: Table, name: str, samples: int, times: Times) -> None:
+    table.add_row(name, str(samples), *(f"{each:.3f}" for each in times))
+
+
 def main(settings: Settings) -> None:
     context = multiprocessing.get_context("spawn")
     size = f"{settings.width}x{settings.width * 3 // 4}"
     table = Table(title=f"{size}, {settings.scenes} scenes, {platform.machine()}, Python {platform.python_version()}")
-    for column in ("renderer", "samples", "median s a frame", "slowest s a frame"):
+    for column in ("renderer", "samples", "median s a frame", "slowest s a frame", "CPU s a frame"):
         table.add_column(column, justify="left" if column == "renderer" else "right")
     notes = []
     for samples in (1, 4):
-        median, slowest = time_ray_tracer(settings, samples)
-        table.add_row(f"mujoco-warp, {settings.device}", str(samples), f"{median:.3f}", f"{slowest:.3f}")
-        queue: multiprocessing.Queue[tuple[float, float] | str] = context.Queue()
+        add_row(table, f"mujoco-warp, {settings.device}", samples, time_ray_tracer(settings, samples))
+        queue: multiprocessing.Queue[Times | str] = context.Queue()
         process = context.Process(target=time_opengl, args=(settings, samples, queue))
         process.start()
         process.join()
@@ -178,7 +194,7 @@ def main(settings: Settings) -> None:
         if isinstance(answer, str):
             notes.append(f"No figures for MuJoCo's OpenGL renderer: {answer}.")
         else:
-            table.add_row("MuJoCo OpenGL, OSMesa", str(samples), f"{answer[0]:.3f}", f"{answer[1]:.3f}")
+            add_row(table, "MuJoCo OpenGL, OSMesa", samples, answer)
     console = Console(width=110)
     console.print(table)
     for note in dict.fromkeys(notes):
