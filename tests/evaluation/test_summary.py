@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from objectflow.errors import DatasetError
 from objectflow.evaluation.bootstrap import Bootstrap
 from objectflow.evaluation.flow_metrics import FlowScore, PixelScore
+from objectflow.evaluation.mover_metrics import MoverScore
 from objectflow.evaluation.object_metrics import ObjectError
 from objectflow.evaluation.pair_score import PairScore
 from objectflow.evaluation.runtime import machine_name, summarise_runtime
@@ -32,7 +33,9 @@ def pixels(epe: float, aae: float, count: int, predicted: int, under: tuple[int,
 
 def pair(number: int, epe: PixelScore, form: PRF, extracted: int, true: int, *errors: ObjectError) -> PairScore:
     segmentation = SegmentationScore(form, form, form, form, extracted, extracted, extracted, true, true, ())
-    return PairScore(f"p{number}", f"s{number}", FlowScore(epe, epe, epe), segmentation, errors, float(number))
+    movers = MoverScore(2, 2, 1, still=number % 2 == 0)
+    flow = FlowScore(epe, epe, epe)
+    return PairScore(f"p{number}", f"s{number}", flow, segmentation, errors, float(number), movers=movers)
 
 
 SCORES = [

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from objectflow.evaluation.flow_metrics import FlowScore, score_flow
+from objectflow.evaluation.mover_metrics import NO_MOVERS, MoverScore, score_movers
 from objectflow.evaluation.object_metrics import ObjectError, score_objects
 from objectflow.evaluation.region_score import RegionScore, score_regions
 from objectflow.evaluation.segmentation_metrics import SegmentationScore, score_segmentation
@@ -24,6 +25,7 @@ class PairScore:
         objects: of the matched objects.
         seconds: what the estimate took.
         regions: of every true object, matched or not.
+        movers: of those that move.
     """
 
     key: str
@@ -33,6 +35,7 @@ class PairScore:
     objects: tuple[ObjectError, ...]
     seconds: float
     regions: tuple[RegionScore, ...] = ()
+    movers: MoverScore = NO_MOVERS
 
 
 def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
@@ -52,4 +55,5 @@ def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
         objects=score_objects(predicted.objects, truth, segmentation.matches),
         seconds=predicted.seconds,
         regions=score_regions(predicted.scene_flow, truth, segmentation.matches),
+        movers=score_movers(predicted, truth),
     )

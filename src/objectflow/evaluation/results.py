@@ -23,7 +23,7 @@ from objectflow.motion import SceneMotion
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 """Of `results.json`. Another one is refused, not guessed at."""
 
 

@@ -10,6 +10,7 @@ from numpy.random import Generator
 
 from objectflow.evaluation.bootstrap import Bootstrap, Interval
 from objectflow.evaluation.flow_metrics import THRESHOLDS_CM, PixelScore
+from objectflow.evaluation.mover_metrics import MoverScore
 from objectflow.evaluation.pair_score import PairScore
 from objectflow.evaluation.runtime import Runtime, summarise_runtime
 from objectflow.evaluation.segmentation_metrics import PRF, SegmentationScore
@@ -65,6 +66,26 @@ class ObjectSummary:
 
 
 @dataclass(frozen=True)
+class MoverSummary:
+    """The moving objects, pooled.
+
+    Attributes:
+        precision: share of the objects found to move that stand for one that does, with F >= 0.75.
+        recall: share of the moving objects that are found so.
+        true, found: how many there are.
+        clean: share of the pairs without any motion in which nothing is said to move.
+        still: how many such pairs there are.
+    """
+
+    precision: Interval
+    recall: Interval
+    true: int
+    found: int
+    clean: Interval
+    still: int
+
+
+@dataclass(frozen=True)
 class Summary:
     """What one method is worth on a set.
 
@@ -73,6 +94,7 @@ class Summary:
         flow_all, flow_masked, flow_moving: on all pixels, on objects seen in both frames, on those that move.
         mean_f: the headline; fbms and overlap: the other two forms. boundary: its `extracted` is the overlap's.
         objects: motions.
+        movers: moving objects found, and false ones.
         runtime: seconds a pair.
     """
 
@@ -86,6 +108,7 @@ class Summary:
     overlap: SegmentationSummary
     boundary: SegmentationSummary
     objects: ObjectSummary
+    movers: MoverSummary
     runtime: Runtime = field(compare=False)
 
 
@@ -113,6 +136,7 @@ def summarise(scores: Sequence[PairScore], rng: Generator, *, warm_up: int = 1, 
         overlap=_segmentation(bootstrap, segmentation, lambda s: s.overlap, lambda s: s.overlap_extracted),
         boundary=_segmentation(bootstrap, segmentation, lambda s: s.boundary, lambda s: s.overlap_extracted),
         objects=_objects(bootstrap, scores),
+        movers=_movers(bootstrap, [score.movers for score in scores]),
         runtime=summarise_runtime([score.seconds for score in scores], warm_up=warm_up, machine=machine),
     )
 
@@ -162,4 +186,17 @@ def _objects(bootstrap: Bootstrap, scores: Sequence[PairScore]) -> ObjectSummary
         translation_cm=bootstrap.median([error.translation_cm for error in errors], owners),
         good=bootstrap.ratio(good, [len(score.objects) for score in scores]),
         matched=len(errors),
+    )
+
+
+def _movers(bootstrap: Bootstrap, scores: Sequence[MoverScore]) -> MoverSummary:
+    found, true = [score.found for score in scores], [score.true for score in scores]
+    still = [score.still for score in scores]
+    return MoverSummary(
+        precision=bootstrap.ratio(found, [score.predicted for score in scores]),
+        recall=bootstrap.ratio(found, true),
+        true=sum(true),
+        found=sum(found),
+        clean=bootstrap.ratio([score.still and not score.false_mover for score in scores], still),
+        still=sum(still),
     )

@@ -31,6 +31,7 @@ def make_tables(evaluation: Evaluation) -> Tables:
         _flow_table(evaluation),
         _segmentation_table(evaluation),
         _motion_table(evaluation),
+        _mover_table(evaluation),
         _more_flow_table(evaluation),
         _forms_table(evaluation),
         *breakdown_tables(evaluation),
@@ -129,6 +130,31 @@ def _motion_table(evaluation: Evaluation) -> Table:
         _rows(evaluation, cells),
         main=True,
     )
+
+
+def _mover_table(evaluation: Evaluation) -> Table:
+    """In the terminal only where some pairs are without motion: elsewhere next to everything moves."""
+    columns = (
+        Column("found", "found"),
+        Column("mover_precision", "precision"),
+        Column("mover_recall", "recall"),
+        Column("still", "pairs without motion"),
+        Column("clean", "of them without a false mover", percent=True),
+    )
+
+    def cells(summary: Summary) -> dict[str, Cell]:
+        movers = summary.movers
+        return {
+            "found": Cell(movers.found, total=movers.true),
+            "mover_precision": Cell.of(movers.precision),
+            "mover_recall": Cell.of(movers.recall),
+            "still": Cell(movers.still, total=summary.pairs),
+            "clean": Cell.of(movers.clean),
+        }
+
+    some_still = any(method.summary is not None and method.summary.movers.still for method in evaluation.methods)
+    title = "Moving objects, found with F >= 0.75"
+    return Table("movers", title, columns, _rows(evaluation, cells), main=some_still)
 
 
 def _more_flow_table(evaluation: Evaluation) -> Table:

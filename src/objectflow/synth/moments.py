@@ -73,7 +73,10 @@ def pick_moment(
             continue
         if max(recording.depth[prev], recording.depth[prev + frames]) > MAX_DEPTH:
             continue
-        if any(_reduced_shift(clouds[k], *pair[:, k], models[k]) < MOVED for k in np.flatnonzero(moves)):
+        if any(
+            _reduced_shift(clouds[k], pair[0, k], pair[1, k], models[k]) < MOVED
+            for k in map(int, np.flatnonzero(moves))
+        ):
             continue
         pair[1, still] = pair[0, still]
         return Moment(prev, prev + frames, pair, moves)
