@@ -15,7 +15,7 @@ from objectflow import geometry
 from objectflow.errors import MethodError
 from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet, scene_flow
 from objectflow.networks.decoder import Hourglass
-from objectflow.networks.sceneflownet import fill_holes
+from objectflow.networks.sceneflownet import expected_displacement, fill_holes
 
 SMALL = dataclasses.replace(NetworkSettings().scaled(0.125), reach=2, trunk_blocks=(1, 1))
 
@@ -41,7 +41,9 @@ def _frames(height: int, width: int, batch: int = 2) -> list[Tensor]:
 def test_maps_have_the_inputs_size_and_every_weight_learns(
     correlation: bool, details: bool, cosine: bool, height: int, width: int
 ) -> None:
-    network = _network(correlation=correlation, details=details, correlation_cosine=cosine)
+    network = _network(
+        correlation=correlation, details=details, correlation_cosine=cosine, displacement=cosine, length_unit=0.1
+    )
     for parameter in network.parameters():  # blocks start as their shortcuts: wake the rest
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
@@ -100,6 +102,44 @@ def test_the_correlation_comes_with_the_maps() -> None:
         expected = (looks[0][:, :, 3, 4] * looks[1][:, :, 4, 2]).sum(1)
     torch.testing.assert_close(correlation[:, (1 + 2) * 5 + (-2 + 2), 3, 4], expected)
     assert _network(correlation=False).predict(*frames)[1] is None
+
+
+def test_expected_displacement_of_sure_matches_is_the_match() -> None:
+    """With one certain match a cell, it is a lookup; a match without depth is passed over."""
+    generator = torch.Generator().manual_seed(3)
+    reach, height, width = 2, 5, 7
+    points = torch.rand(2, 1, 3, height, width, generator=generator)
+    prev, curr = (torch.cat([one, torch.ones(1, 1, height, width)], 1) for one in points)
+    correlation = torch.zeros(1, 25, height, width)
+    correlation[0, (1 + reach) * 5 - 2 + reach, 3, 4] = 80.0  # cell (4, 2)
+    correlation[0, (0 + reach) * 5 + 1 + reach, 2, 2] = 80.0  # cell (2, 3), without depth
+    correlation[0, (-1 + reach) * 5 + 0 + reach, 2, 2] = 60.0  # cell (1, 2)
+    prev[:, :, 2, 3] = 0
+    curr[:, :, 0, 0] = 0
+    found = expected_displacement(correlation, prev, curr, reach)
+    torch.testing.assert_close(found[0, :3, 3, 4], prev[0, :3, 4, 2] - curr[0, :3, 3, 4])
+    torch.testing.assert_close(found[0, :3, 2, 2], prev[0, :3, 1, 2] - curr[0, :3, 2, 2])
+    torch.testing.assert_close(found[0, 3, 3, 4], torch.tensor(1.0))
+    assert not found[0, :3, 0, 0].any()
+    # No preference at all: the mean over the patch's points inside the image.
+    around = prev[0, :3, 2:5, 4:7].flatten(1).mean(1)  # cell (4, 6) with reach 2, cut by two edges
+    torch.testing.assert_close(found[0, :3, 4, 6], around - curr[0, :3, 4, 6])
+    nothing = expected_displacement(correlation, torch.zeros_like(prev), curr, reach)
+    assert not nothing.any()
+
+
+def test_maps_are_in_metres_whatever_the_network_counts_in() -> None:
+    plain, other = _network(), _network(length_unit=0.1, origin_depth=0.5)
+    frames = _frames(48, 64)
+    for network in (plain, other):
+        for parameter in network.heads.parameters():
+            torch.nn.init.zeros_(parameter)
+        torch.nn.init.ones_(network.heads.maps["translation"].bias)
+        network.eval()
+    with torch.no_grad():
+        before, after = plain(*frames), other(*frames)
+    torch.testing.assert_close(after.center, before.center)  # the pixel's own point, or its stand-in
+    torch.testing.assert_close(after.translation, 0.1 * before.translation)
 
 
 def test_cosines_do_not_depend_on_the_features_lengths() -> None:

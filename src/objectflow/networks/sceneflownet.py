@@ -19,6 +19,7 @@ from objectflow.networks.settings import NetworkSettings
 
 _STRIDE = 8
 """Of the encoders; images are padded to a multiple of it and the maps cropped back."""
+_DISPLACEMENT_CHANNELS = 4
 _FIRST_SHARPNESS = 2.0
 """Where first runs took it on their own, to within 0.1."""
 
@@ -48,7 +49,8 @@ class SceneFlowNet(nn.Module):
             masked = self.settings.missing == "masked"
             stages = self.settings.shape_stages
             self.shape_encoder: nn.Module = MaskedShapeEncoder(stages) if masked else shape_encoder(4, stages)
-            self.hourglass = Hourglass(3 * shape_channels, self.settings)
+            extra = _DISPLACEMENT_CHANNELS if self.settings.displacement else 0
+            self.hourglass = Hourglass(3 * shape_channels + extra, self.settings)
         else:
             self.color_encoder = None
             self.shape_encoder = shape_encoder(2 * (3 + 4), self.settings.shape_stages)
@@ -83,13 +85,18 @@ class SceneFlowNet(nn.Module):
     ) -> tuple[DenseMotion, Tensor | None]:
         """`forward`, and the correlation (B, (2 L + 1)^2, H / 8, W / 8) as `correlate` orders it; None for OurS."""
         height, width = curr_color.shape[-2:]
-        prev_shape, curr_shape = _with_validity(prev_points), _with_validity(curr_points)
+        unit = self.settings.length_unit
+        origin = curr_points.new_tensor((0.0, 0.0, self.settings.origin_depth))[:, None, None]
+        prev_shape, curr_shape = (_with_validity((points - origin) / unit) for points in (prev_points, curr_points))
         images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
         features, correlation = self._encode(*images)
         details = _pyramid(images[2], images[3]) if self.settings.details else ()
         maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features, details))))
         # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
-        maps = maps._replace(center=maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:]))
+        center = maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:])
+        maps = maps._replace(
+            center=unit * center + origin, translation=unit * maps.translation, radius=unit * maps.radius
+        )
         return maps, correlation
 
     def _encode(
@@ -112,7 +119,36 @@ class SceneFlowNet(nn.Module):
                 correlation = correlation / curr_look.shape[1]
             weights = torch.relu(correlation)
         matched_form = weighted_max_pool(weights, prev_form, reach)
-        return torch.cat([curr_form, prev_form, matched_form], dim=1), correlation
+        parts = [curr_form, prev_form, matched_form]
+        if self.settings.displacement:
+            prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
+            parts.append(expected_displacement(correlation, prev_cells, curr_cells, reach))
+        return torch.cat(parts, dim=1), correlation
+
+
+def expected_displacement(correlation: Tensor, prev_cells: Tensor, curr_cells: Tensor, reach: int) -> Tensor:
+    """Where each cell's point was, on average over its patch by the softmax of its correlations, less where it is.
+
+    Args:
+        correlation: (B, (2 L + 1)^2, h, w), as `correlate` orders it.
+        prev_cells, curr_cells: (B, 4, h, w) points, and 1 where there is one.
+        reach: L, in cells.
+
+    Returns:
+        (B, 4, h, w): the displacement, 0 where the point or all it could match is missing; and the highest
+        probability among cells that have points.
+    """
+    height, width = correlation.shape[-2:]
+    patches = F.unfold(prev_cells, 2 * reach + 1, padding=reach)
+    patches = patches.reshape(len(prev_cells), 4, -1, height, width).to(correlation.dtype)
+    points, valid = patches[:, :3], patches[:, 3]
+    best = correlation.amax(1, keepdim=True).detach()
+    likely = (correlation - best).exp() * valid
+    share = likely / likely.sum(1, keepdim=True).clamp_min(torch.finfo(torch.float32).tiny)
+    mean = (points * share[:, None]).sum(2)
+    known = (share.sum(1, keepdim=True) > 0) & (curr_cells[:, 3:] > 0)
+    displacement = torch.where(known, mean - curr_cells[:, :3], 0.0)
+    return torch.cat([displacement, share.amax(1, keepdim=True)], dim=1)
 
 
 def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:

@@ -41,6 +41,14 @@ class NetworkSettings:
     correlation_cosine: bool = False
     """Correlate features of length 1, times a learnt sharpness, and weigh cells relative to the best one, by
     exp(c - max c); the paper rectifies plain products. Matches are learnt in a few hundred steps."""
+    displacement: bool = False
+    """Give the hourglass each cell's expected displacement too, by the softmax of its correlations, and the highest
+    probability. The paper has it drawn from pooled features alone. Without correlation there is none."""
+    length_unit: float = 1.0
+    """Metres that encoders and heads count in. Points in metres hardly differ within an object, and a step of a head's
+    weights moves what it says by centimetres; 0.1 makes both easier to learn."""
+    origin_depth: float = 0.0
+    """Metres: encoders count depth from here. The middle of what the network will see makes small numbers."""
     down: Stages = ((64, 64), (128, 128, 128), (256, 256, 256), (512, 512, 512))
     """Layers of the hourglass on its way down; the first of every stage but the first is 5x5 and halves the size."""
     up: Stages = ((256, 512, 256), (128, 128, 128), (64, 128, 64))
@@ -55,6 +63,10 @@ class NetworkSettings:
         for name in ("trunk_width", "color_channels"):
             if getattr(self, name) < 1:
                 raise MethodError(f"network setting {name} must be at least 1, not {getattr(self, name)}")
+        if not 0 < self.length_unit < float("inf"):
+            raise MethodError(f"network setting length_unit must be finite and above 0, not {self.length_unit}")
+        if not abs(self.origin_depth) < float("inf"):
+            raise MethodError(f"network setting origin_depth must be finite, not {self.origin_depth}")
         if self.reach < 0:
             raise MethodError(f"network setting reach must be at least 0, not {self.reach}")
         if len(self.trunk_blocks) != 2 or min(self.trunk_blocks) < 1:

@@ -176,11 +176,16 @@ _NARROW = dataclasses.replace(
     fine=((32, 32), (24, 24), (16, 16)),
     reach=8,
     correlation_cosine=True,
+    displacement=True,
+    length_unit=0.1,
+    origin_depth=0.5,
     details=True,
 )
 """Half the widths, and less where images are large; the patch spans 64 pixels each way, of 160."""
 
-_FAST = LossSettings(mask=10.0, centrality=4.0, rotation=1.0, center=30.0, flow=30.0, radius=10.0, match=10.0)
+_FAST = LossSettings(
+    mask=10.0, centrality=4.0, rotation=1.0, translation=60.0, center=100.0, flow=20.0, radius=10.0, match=3.0
+)
 """With the paper's weights, T's share of the gradient drowns the mask's for the first thousand steps of a short run,
 and all others' for longer: docs/training.md has the numbers."""
 
@@ -202,7 +207,14 @@ RECIPES: dict[str, Recipe] = {
         validate_every=1000,
         validation_pairs=192,
         workers=12,
-        network=dataclasses.replace(NetworkSettings(), correlation_cosine=True, details=True),
+        network=dataclasses.replace(
+            NetworkSettings(),
+            correlation_cosine=True,
+            displacement=True,
+            length_unit=0.1,
+            origin_depth=0.5,
+            details=True,
+        ),
         loss=_FAST,
     ),
     "cpu": Recipe(
