@@ -70,6 +70,7 @@ def test_total_variation_of_a_step_is_its_height_times_its_length() -> None:
 def test_points_move_as_the_exponential_says() -> None:
     rng = np.random.default_rng(1)
     twist, points = rng.standard_normal((6, 3, 4)), rng.standard_normal((3, 3, 4)) * 10
+    twist[3:, 0, 0], twist[3:, 0, 1] = 0, [1e-5, 0, -2e-5]
     turn, shift = twists.motions(torch.from_numpy(twist)[None])
     moved = points + twists.displace(turn, shift, torch.from_numpy(points)[None])[0].numpy()
     for row in range(3):
@@ -82,15 +83,15 @@ def test_points_move_as_the_exponential_says() -> None:
 def test_small_systems_are_solved_as_numpy_solves_them() -> None:
     rng = np.random.default_rng(2)
     J, r, w = rng.standard_normal((9, 6, 2, 3)), rng.standard_normal((9, 2, 3)), rng.uniform(0.1, 2, (9, 2, 3))
-    equations = twists.NormalEquations(torch.zeros(1, 2, 3, dtype=torch.float64))
-    for k in range(9):
-        equations.add(*(torch.from_numpy(a[k])[None] for a in (r, J, w)))
+    r_t, J_t, w_t = (torch.from_numpy(a) for a in (r, J.swapaxes(0, 1).copy(), w))
     diagonal, extra, damping = rng.uniform(0.1, 1, 6), rng.standard_normal((6, 2, 3)), rng.uniform(0, 1, (2, 3))
-    x = equations.solve(
-        torch.from_numpy(diagonal).view(1, 6, 1, 1),
-        torch.from_numpy(extra)[None],
-        torch.from_numpy(damping)[None, None],
-    )[0].numpy()
+    solution = twists.solve(
+        twists.normal_equations(r_t.flatten(1), J_t.flatten(2), w_t.flatten(1)),
+        torch.from_numpy(diagonal)[:, None],
+        torch.from_numpy(extra).flatten(1),
+        torch.from_numpy(damping).flatten(),
+    )
+    x = solution.view(6, 2, 3).numpy()
     for row in range(2):
         for column in range(3):
             Jk, wk = J[:, :, row, column], w[:, row, column]

@@ -12,6 +12,7 @@ What differs from the authors' program, and why:
   rotation about the camera, free of charge, and the minimum of the energy is a rotation field without features.
 - alpha is 1, not 10, in this energy: 10 holds motions of less than a centimetre back;
   `benchmarks/small_motions.py` compares the two.
+- A pixel whose Gauss-Newton step would be less than 10 micrometres does not take it, which spares most windows.
 - Gauss-Newton steps are damped and undone where they raise the energy, outliers pay a constant and not nothing, and
   the dual of the smoothing is kept between alternations. So the energy falls at every alternation.
 - The rigid motion is found without the local field, whose smooth part would take its place bit by bit.
@@ -156,9 +157,12 @@ class SRFlow:
                 motion, costs = solve_rigid(level, motion, self.rigid_steps, weights)
                 rigid_costs.append(costs)
             if self._mode() != "rigid":
-                solver = local.LocalSolver(level, apply_rigid(level, motion), twist, self._local_settings(weights))
-                twist = solver.run()
-                energies.append(solver.energies)
+                solvers = [
+                    local.LocalSolver(level.item(k), points[None], start[None], self._local_settings(weights))
+                    for k, (points, start) in enumerate(zip(apply_rigid(level, motion), twist, strict=True))
+                ]
+                twist = torch.cat([solver.run() for solver in solvers])
+                energies.append([torch.stack(values) for values in zip(*(s.energies for s in solvers), strict=True)])
         return Solution(motion, twist, levels[0].pivot, energies, rigid_costs)
 
     def _mode(self) -> str:

@@ -7,7 +7,7 @@ Two fields in turn, xi for the data and chi for the smoothness; tau is a twist's
 
 With chi fixed, every pixel has six unknowns of its own: Gauss-Newton on its window. With xi fixed, it is the model of
 `smooth` with eta = alpha kappa: channel by channel for tau, vectorial for omega. Every step is taken only where it
-lowers E, so that E falls from alternation to alternation.
+lowers E, so that E falls from alternation to alternation; and a window is looked at only where the step is worth it.
 """
 
 from __future__ import annotations
@@ -21,6 +21,12 @@ from torch.nn import functional
 from objectflow.baselines.sr_flow import smooth, twists
 from objectflow.baselines.sr_flow.pyramid import Level
 from objectflow.baselines.sr_flow.residuals import Weights, compute_residuals
+
+STEP_BELOW = 1e-3
+"""Centimetres, a rotation counting by its arm: a pixel whose step would be smaller stays until chi has moved."""
+
+CHUNK = 2048
+"""Pixels whose windows are taken at a time on the CPU: what they need fits into a core's own cache."""
 
 
 @dataclass(frozen=True)
@@ -49,55 +55,81 @@ class LocalSettings:
 
 
 class LocalSolver:
-    """The alternation on one level.
+    """The alternation on one level, for one pair.
+
+    Pixels that have come to rest cost nothing, which is most of them after a few steps: maps are lists of N = H W
+    pixels here, so that some of them can be taken.
 
     Attributes:
-        xi, chi: (B, 6, H, W) the two fields.
-        energies: (B,) tensors, E before the first alternation and after each.
+        xi, chi: (6, N) the two fields.
+        energies: () tensors, E before the first alternation and after each.
     """
 
     def __init__(self, level: Level, points: Tensor, start: Tensor, settings: LocalSettings) -> None:
-        """Start from twists (B, 6, H, W) of points (B, 3, H, W), cm, about the level's pivot."""
+        """Start from twists (1, 6, H, W) of points (1, 3, H, W), cm, about the level's pivot."""
         self.level, self.settings = level, settings
-        pad = (settings.radius,) * 4
-        self.points, self.gray, self.valid = (functional.pad(m, pad) for m in (points, level.gray, level.valid))
-        self.scale = start.new_tensor([1.0] * 3 + [settings.arm] * 3).view(1, 6, 1, 1)
+        self.height, self.width = level.gray.shape[2:]
+        padded = functional.pad(torch.cat([points - level.pivot, level.gray, level.valid], 1), (settings.radius,) * 4)
+        self.first = padded[0].flatten(1)
+        """Arm, intensity and validity of each pixel, (5, ...) with a border: windows are looked up here."""
+        places = torch.arange(self.first.shape[1], device=start.device).view(padded.shape[2:])
+        self.corners = places[: self.height, : self.width].flatten()
+        side = 2 * settings.radius + 1
+        self.offsets = places[:side, :side].reshape(-1, 1)
+        self.scale = start.new_tensor([1.0] * 3 + [settings.arm] * 3)[:, None]
         self.coupling = self.scale.square() / settings.kappa
-        self.xi = self.chi = start
+        self.chi = start[0].flatten(1)
+        self.xi = self.chi.clone()
         self.duals: tuple[Tensor | None, Tensor | None] = (None, None)
-        self.cost, self.equations = self._windows(start)
-        self.damping = torch.full_like(level.valid, 1e-4)
+        self.everywhere = torch.arange(self.xi.shape[1], device=start.device)
+        self.cost, self.equations = self._windows(self.everywhere, self.xi)
+        self.damping = torch.full_like(self.cost, 1e-4)
         self.energies = [self._energy()]
 
     def run(self) -> Tensor:
-        """All alternations; returns chi."""
+        """All alternations; returns chi, (1, 6, H, W)."""
         for _ in range(self.settings.alternations):
+            pixels = self.everywhere
             for _ in range(self.settings.steps):
-                self._step()
+                pixels = self._step(pixels)
             self._smooth()
             self.energies.append(self._energy())
-        return self.chi
+        return self._map(self.chi)
+
+    def _map(self, field: Tensor) -> Tensor:
+        return field.view(1, -1, self.height, self.width)
 
     def _energy(self) -> Tensor:
-        tau, omega = _halves(self.scale * self.chi)
+        tau, omega = _halves(self._map(self.scale * self.chi))
         tv = smooth.total_variation(tau, vectorial=False) + smooth.total_variation(omega, vectorial=True)
-        return (self.cost + self._pull(self.xi)).sum((1, 2)) + self.settings.alpha * tv
+        return (self.cost + self._pull(self.xi - self.chi)).sum() + self.settings.alpha * tv[0]
 
-    def _step(self) -> None:
-        """One damped Gauss-Newton step (Levenberg-Marquardt) of every pixel, kept where it lowers the energy."""
-        right = self.coupling * (self.xi - self.chi)
-        trial = self.xi + self.equations.solve(self.coupling, right, self.damping)
-        cost, equations = self._windows(trial)
-        better = (cost + self._pull(trial) < self.cost + self._pull(self.xi))[:, None]
-        self.xi = torch.where(better, trial, self.xi)
-        self.cost = torch.where(better[:, 0], cost, self.cost)
-        self.equations.take(equations, better)
-        self.damping = torch.where(better, self.damping * 0.1, (self.damping * 10).clamp(min=1e-3)).clamp(1e-6, 1e6)
+    def _step(self, pixels: Tensor) -> Tensor:
+        """One damped Gauss-Newton step (Levenberg-Marquardt) of some pixels, kept where it lowers the energy.
+
+        Returns those of them that are not at rest.
+        """
+        apart = (self.xi - self.chi).index_select(1, pixels)
+        equations = self.equations if pixels is self.everywhere else self.equations.index_select(1, pixels)
+        step = twists.solve(equations, self.coupling, self.coupling * apart, self.damping[pixels])
+        restless = ((self.scale * step).abs().amax(0) > STEP_BELOW).nonzero()[:, 0]
+        pixels, apart, step = pixels[restless], apart[:, restless], step[:, restless]
+        trial = self.xi[:, pixels] + step
+        cost, equations = self._windows(pixels, trial)
+        better = cost + self._pull(apart + step) < self.cost[pixels] + self._pull(apart)
+        damping = self.damping[pixels]
+        self.damping[pixels] = torch.where(better, damping * 0.1, (damping * 10).clamp(min=1e-3)).clamp(1e-6, 1e6)
+        lower = better.nonzero()[:, 0]
+        taken = pixels[lower]
+        self.cost[taken] = cost[lower]
+        for kept, found in ((self.xi, trial), (self.equations, equations)):
+            kept.index_copy_(1, taken, found.index_select(1, lower))
+        return pixels
 
     def _smooth(self) -> None:
         """Smooth both parts; a part stays as it is where its iterations did not reach a lower energy."""
         s = self.settings
-        fields = _halves(self.scale * self.chi), _halves(self.scale * self.xi)
+        fields = (_halves(self._map(self.scale * field)) for field in (self.chi, self.xi))
         parts, duals = [], []
         for old, target, vectorial, start in zip(*fields, (False, True), self.duals, strict=True):
             new, dual = smooth.smooth(target, s.alpha * s.kappa, s.smoothing_steps, vectorial=vectorial, dual=start)
@@ -108,31 +140,28 @@ class LocalSolver:
             ]
             parts.append(torch.where((energies[1] < energies[0]).view(-1, 1, 1, 1), new, old))
             duals.append(dual)
-        self.chi = torch.cat(parts, dim=1) / self.scale
+        self.chi = torch.cat(parts, dim=1)[0].flatten(1) / self.scale
         self.duals = (duals[0], duals[1])
 
-    def _pull(self, twist: Tensor) -> Tensor:
-        return ((twist - self.chi).square() * self.coupling).sum(1) / 2
+    def _pull(self, apart: Tensor) -> Tensor:
+        return (apart.square() * self.coupling).sum(0) / 2
 
-    def _windows(self, twist: Tensor) -> tuple[Tensor, twists.NormalEquations]:
-        """Cost (B, H, W) of every window moved by its own twist, and its normal equations."""
-        height, width = self.level.gray.shape[2:]
-        side = 2 * self.settings.radius + 1
-        turn, shift = twists.motions(twist)
-        cost = torch.zeros_like(self.level.gray[:, 0])
-        equations = twists.NormalEquations(cost)
-        for i in range(side):
-            for j in range(side):
-                there = (..., slice(i, i + height), slice(j, j + width))
-                arm = self.points[there] - self.level.pivot
-                arm = arm + twists.displace(turn, shift, arm)
-                found = compute_residuals(
-                    self.level, arm + self.level.pivot, self.gray[there], self.valid[there], self.settings.weights
-                )
-                cost += found.cost
-                for residual, gradient, weight in found.terms:
-                    equations.add(residual, twists.jacobian(gradient, arm), weight)
-        return cost, equations
+    def _windows(self, pixels: Tensor, twist: Tensor) -> tuple[Tensor, Tensor]:
+        """Cost (n,) of the windows of n pixels, moved by their twists (6, n), and their normal equations (27, n)."""
+        chunk = CHUNK if twist.device.type == "cpu" else max(1, len(pixels))
+        costs, equations = [], []
+        for some, moving in zip(torch.split(pixels, chunk), torch.split(twist, chunk, dim=1), strict=True):
+            turn, shift = twists.motions(moving[None, :, None])
+            near = self.first.index_select(1, (self.corners[some] + self.offsets).flatten())
+            near = near.view(1, 5, len(self.offsets), len(some))
+            arm = near[:, :3]
+            arm = arm + twists.displace(turn, shift, arm)
+            moved = arm + self.level.pivot
+            found = compute_residuals(self.level, moved, near[:, 3:4], near[:, 4:], self.settings.weights)
+            costs.append(found.cost[0].sum(0))
+            of_terms = [twists.normal_equations(r[0], twists.jacobian(g, arm)[0], w[0]) for r, g, w in found.terms]
+            equations.append(of_terms[0] + of_terms[1])
+        return torch.cat(costs), torch.cat(equations, dim=1)
 
 
 def _halves(twist: Tensor) -> tuple[Tensor, Tensor]:

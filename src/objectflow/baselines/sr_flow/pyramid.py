@@ -5,7 +5,7 @@ Lengths are centimetres here and in the rest of the method, because its weights 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
@@ -43,6 +43,10 @@ class Level:
     second: Tensor
     intrinsics: Tensor
     pivot: Tensor
+
+    def item(self, index: int) -> Level:
+        """One pair of the batch, as a batch of one."""
+        return Level(**{field.name: getattr(self, field.name)[index, None] for field in fields(self)})
 
 
 def build_pyramid(

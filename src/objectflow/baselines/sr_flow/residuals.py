@@ -63,12 +63,14 @@ def compute_residuals(level: Level, moved: Tensor, gray: Tensor, valid: Tensor, 
     fx, fy, cx, cy = level.intrinsics[:, :, None, None].unbind(1)
     x, y, z = moved.unbind(1)
     gray, valid = gray[:, 0], valid[:, 0]
-    inverse = 1 / z.clamp(min=1e-3)
+    inverse = z.clamp(min=1e-3).reciprocal_()
     ray_x, ray_y = x * inverse, y * inverse
-    u, v = fx * ray_x + cx, fy * ray_y + cy
-    inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1) & (z > 1e-3)
-    there = valid * inside
-    grid = torch.stack([u * (2 / max(width - 1, 1)) - 1, v * (2 / max(height - 1, 1)) - 1], dim=-1)
+    grid = z.new_empty(*z.shape, 2)
+    for axis, (ray, focal, centre, side) in enumerate(((ray_x, fx, cx, width), (ray_y, fy, cy, height))):
+        # Pixels to -1..1, as `grid_sample` wants them.
+        half = max(side - 1, 1e-3) / 2
+        torch.addcmul(centre / half - 1, ray, focal / half, out=grid[..., axis])
+    there = valid * ((grid[..., 0].abs() <= 1) & (grid[..., 1].abs() <= 1) & (z > 1e-3))
     sampled = functional.grid_sample(level.second, grid, mode="bilinear", padding_mode="border", align_corners=True)
     intensity, iu, iv, depth, zu, zv, has_depth, has_slope = sampled.unbind(1)
     fx_z, fy_z = fx * inverse, fy * inverse
@@ -88,12 +90,13 @@ def compute_residuals(level: Level, moved: Tensor, gray: Tensor, valid: Tensor, 
 
 def _along_point(along_x: Tensor, along_y: Tensor, ray_x: Tensor, ray_y: Tensor) -> Tensor:
     """Gradient of an image value at the projection, along the point; `along_x` is its slope along u times fx / z."""
-    return torch.stack([along_x, along_y, -(along_x * ray_x + along_y * ray_y)], dim=1)
+    return torch.stack([along_x, along_y, torch.addcmul(along_x * ray_x, along_y, ray_y).neg_()], dim=1)
 
 
 def _robust(residual: Tensor, there: Tensor, limit2: float, weight: float) -> tuple[Tensor, Tensor]:
     square = residual * residual
     counts = there * (square < limit2)
-    root = torch.sqrt(square + EPSILON)
+    root = square.add_(EPSILON).sqrt_()
     outlier = math.sqrt(limit2 + EPSILON)
-    return weight * (outlier + (root - outlier) * counts), counts * (weight / root)
+    weights = (counts / root).mul_(weight)
+    return root.sub_(outlier).mul_(counts).add_(outlier).mul_(weight), weights

@@ -36,34 +36,42 @@ def smooth(
         vectorial: bound the gradients of all channels together.
         dual: (B, 2, C, H, W), where to start: what the last call for a field like this one returned.
     """
-    if dual is None:
-        dual = field.new_zeros(len(field), 2, *field.shape[1:])
-    ahead, momentum = dual, 1.0
+    dual = field.new_zeros(len(field), 2, *field.shape[1:]) if dual is None else dual.clone()
+    ahead, stepped, primal, lengths = dual.clone(), torch.empty_like(dual), torch.empty_like(field), None
+    momentum = 1.0
     for _ in range(iterations):
-        stepped = ahead + (STEP / eta) * _gradient(field + eta * _divergence(ahead))
-        squares = stepped.square().sum(1, keepdim=True)
+        _primal(field, ahead, eta, out=primal)
+        stepped.copy_(ahead)
+        _add_gradient(primal, STEP / eta, out=stepped)
+        shrink = torch.mul(stepped[:, 0], stepped[:, 0], out=lengths)
+        lengths = shrink.addcmul_(stepped[:, 1], stepped[:, 1])
         if vectorial:
-            squares = squares.sum(2, keepdim=True)
-        stepped = stepped / squares.sqrt().clamp(min=1)
+            shrink = shrink.sum(1, keepdim=True)
+        stepped *= shrink.rsqrt_().clamp_(max=1)[:, None]
         following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        ahead = stepped + (momentum - 1) / following * (stepped - dual)
-        dual, momentum = stepped, following
-    return field + eta * _divergence(dual), dual
+        torch.lerp(dual, stepped, 1 + (momentum - 1) / following, out=ahead)
+        dual, stepped, momentum = stepped, dual, following
+    return _primal(field, dual, eta, out=primal), dual
 
 
 def _gradient(field: Tensor) -> Tensor:
     """Forward differences, 0 beyond the border: (B, C, H, W) -> (B, 2, C, H, W)."""
     out = field.new_zeros(len(field), 2, *field.shape[1:])
-    torch.sub(field[..., :, 1:], field[..., :, :-1], out=out[:, 0, ..., :, :-1])
-    torch.sub(field[..., 1:, :], field[..., :-1, :], out=out[:, 1, ..., :-1, :])
+    _add_gradient(field, 1.0, out=out)
     return out
 
 
-def _divergence(dual: Tensor) -> Tensor:
-    """Minus the adjoint of `_gradient`."""
-    out = torch.zeros_like(dual[:, 0])
-    out[..., :, :-1] += dual[:, 0, ..., :, :-1]
-    out[..., :, 1:] -= dual[:, 0, ..., :, :-1]
-    out[..., :-1, :] += dual[:, 1, ..., :-1, :]
-    out[..., 1:, :] -= dual[:, 1, ..., :-1, :]
+def _add_gradient(field: Tensor, factor: float, *, out: Tensor) -> None:
+    out[:, 0, ..., :-1].add_(field[..., 1:], alpha=factor).sub_(field[..., :-1], alpha=factor)
+    out[:, 1, ..., :-1, :].add_(field[..., 1:, :], alpha=factor).sub_(field[..., :-1, :], alpha=factor)
+
+
+def _primal(field: Tensor, dual: Tensor, eta: float, *, out: Tensor) -> Tensor:
+    """What a dual says the minimiser is: f + eta div p, where the divergence is minus the adjoint of `_gradient`."""
+    out.copy_(field)
+    along_u, along_v = dual[:, 0, ..., :-1], dual[:, 1, ..., :-1, :]
+    out[..., :-1].add_(along_u, alpha=eta)
+    out[..., 1:].sub_(along_u, alpha=eta)
+    out[..., :-1, :].add_(along_v, alpha=eta)
+    out[..., 1:, :].sub_(along_v, alpha=eta)
     return out
