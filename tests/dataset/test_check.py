@@ -20,6 +20,7 @@ from objectflow.dataset.warp import warp_errors
 from objectflow.errors import DatasetError
 from objectflow.frame import Camera, RgbdFrame
 from objectflow.synth.model import SymmetryAxis
+from small_sets import make_frame
 
 CAMERA = Camera(width=80, height=60, fx=59.0, fy=59.0, cx=39.5, cy=29.5)
 RADIUS = 0.08
@@ -181,3 +182,19 @@ def test_pictures_show_centres_labels_and_depth(pair: PairRow) -> None:
     )  # the cross at the current centre, in the second panel
     frames = draw_frames([render(PREV, 20), render(CURR, 30)])
     assert frames.shape == (2 * (18 + 240 + 4), 3 * (320 + 4), 3)
+
+
+def test_movers_are_counted_where_rows_know_the_camera_s_motion() -> None:
+    report = CheckReport("test", 2, "", {})
+    pair = pair_of_frames(make_frame("a", 20), make_frame("a", 80))
+    assert "movers" not in report.to_dict()
+    add_pair(report, dataclasses.replace(pair, camera_motion=np.eye(4)))
+    still = pair_of_frames(make_frame("a", 20), dataclasses.replace(make_frame("a", 20), frame=80))
+    add_pair(report, dataclasses.replace(still, camera_motion=np.eye(4)))
+    numbers = report.to_dict()
+    assert numbers["movers"] == {"mean": 0.5, "most": 1}
+    assert numbers["motionless_share"] == 0.5
+    assert numbers["moving_camera_share"] == 0
+    # Only what moves counts: 60 frames of 1 mm.
+    assert report.displacement_cm.count == 1
+    assert report.displacement_cm.mean == pytest.approx(6.0)

@@ -77,6 +77,12 @@ def _print(console: Console, report: CheckReport) -> None:
     share = 100 * report.symmetric / max(1, report.objects_total)
     redrawn = ", ".join(f"{count} {reason}" for reason, count in report.rejected.items()) or "none"
     console.print(f"symmetric objects: {share:.0f}%; drafts drawn anew: {redrawn}")
+    if report.movers.count:
+        pairs = report.movers.count
+        console.print(
+            f"moving objects a pair: {report.movers.mean:.2f}; pairs without motion: {report.motionless}/{pairs}; "
+            f"before a moving camera: {report.moving_cameras}/{pairs}"
+        )
     for entry in report.worst[:3]:
         console.print(
             f"worst: {entry.key} object {entry.label} ({entry.model}): {entry.depth_mm:.2f} mm", markup=False

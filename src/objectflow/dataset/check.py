@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.dataset import manifest as manifests
 from objectflow.dataset.manifest import Manifest, Part
+from objectflow.dataset.movers import moving_labels
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.dataset.shards import Shards
@@ -87,7 +88,10 @@ class CheckReport:
         depth_mm, reduced_depth_mm, color: errors of all compared pixels: with the raw rotation, with the
             symmetry-reduced one, and of colour.
         objects: objects a pair; visible: each object's pixels in the current frame.
-        displacement_cm, rotation_deg, raw_rotation_deg: of objects seen in both frames.
+        displacement_cm, rotation_deg, raw_rotation_deg: of objects seen in both frames; where rows know the camera's
+            motion, of those that move, before the camera.
+        movers: objects a pair that move, where rows know the camera's motion (`objectflow.dataset.movers`).
+        motionless, moving_cameras: how many of those pairs show no motion, and how many a moving camera's.
         symmetric: how many objects have an axis of symmetry, of `objects_total`.
         worst: the objects with the largest median depth error.
         wrong: rows whose object table contradicts itself, with the reason.
@@ -105,6 +109,9 @@ class CheckReport:
     displacement_cm: Histogram = field(default_factory=lambda: Histogram(0.1, 1_000))
     rotation_deg: Histogram = field(default_factory=lambda: Histogram(1, 181))
     raw_rotation_deg: Histogram = field(default_factory=lambda: Histogram(1, 181))
+    movers: Histogram = field(default_factory=lambda: Histogram(1, 256))
+    motionless: int = 0
+    moving_cameras: int = 0
     symmetric: int = 0
     objects_total: int = 0
     worst: list[ObjectErrors] = field(default_factory=list)
@@ -127,9 +134,20 @@ class CheckReport:
                 }
                 for name in (*spread, "raw_rotation_deg")
             },
+            **self._movers(),
             "symmetric_share": self.symmetric / max(1, self.objects_total),
             "worst": [asdict(entry) for entry in self.worst],
             "wrong": self.wrong,
+        }
+
+    def _movers(self) -> dict[str, Any]:
+        if not self.movers.count:
+            return {}
+        count = self.movers.count
+        return {
+            "movers": {"mean": self.movers.mean, "most": int(np.flatnonzero(self.movers.counts).max())},
+            "motionless_share": self.motionless / count,
+            "moving_camera_share": self.moving_cameras / count,
         }
 
 
@@ -168,14 +186,20 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
     report.objects.add(np.array([len(row.objects)]))
     report.objects_total += len(row.objects)
     report.symmetric += sum(bool(obj.symmetry) for obj in row.objects)
+    moving = moving_labels(row)
+    if row.camera_motion is not None:
+        report.movers.add(np.array([len(moving)]))
+        report.motionless += not moving
+        report.moving_cameras += not np.array_equal(row.camera_motion, np.eye(4))
     visible = np.bincount(row.curr_labels.ravel(), minlength=256)
     report.visible.add(np.array([visible[obj.label] for obj in row.objects if visible[obj.label]]))
     both = [obj for obj in row.objects if obj.in_both]
     if not both:
         return
-    report.displacement_cm.add(100 * np.linalg.norm([obj.translation for obj in both], axis=-1))
-    report.rotation_deg.add(np.degrees(np.linalg.norm([obj.rotation_vector for obj in both], axis=-1)))
-    report.raw_rotation_deg.add(np.degrees(np.linalg.norm([obj.raw_rotation_vector for obj in both], axis=-1)))
+    moved = [obj for obj in both if obj.label in moving]
+    report.displacement_cm.add(_lengths([obj.translation for obj in moved]) * 100)
+    report.rotation_deg.add(np.degrees(_lengths([obj.rotation_vector for obj in moved])))
+    report.raw_rotation_deg.add(np.degrees(_lengths([obj.raw_rotation_vector for obj in moved])))
 
     raw, reduced = warp_errors(row, raw=True), warp_errors(row, raw=False)
     report.depth_mm.add(1000 * np.abs(raw.depth))
@@ -197,6 +221,10 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
             )
     report.worst.sort(key=lambda entry: -max(entry.depth_mm, entry.reduced_depth_mm))
     del report.worst[WORST:]
+
+
+def _lengths(vectors: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.asarray(np.linalg.norm(np.reshape(vectors, (-1, 3)), axis=-1))
 
 
 def contradictions(row: PairRow) -> list[str]:

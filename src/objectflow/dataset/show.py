@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
+from objectflow.dataset.movers import keep_labels, moving_labels
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.frame import Camera, RgbdFrame
 
@@ -31,13 +32,16 @@ def draw_pair(row: PairRow) -> Image:
     near, far = _range([row.prev, row.curr])
     motions = {obj.label: obj.prev_T_curr(raw=True) for obj in row.objects if obj.in_both}
     points = geometry.back_project(row.curr.depth, row.curr.camera)
-    flow = geometry.flow_from_motions(points, row.curr_labels, motions)
+    flow = geometry.flow_from_motions(points, row.curr_labels, motions, row.camera_motion)
     length = np.linalg.norm(flow, axis=-1)
     reach = max(0.01, float(np.nanmax(length, initial=0)))
     both = [obj for obj in row.objects if obj.in_both]
     centers = np.array([obj.center for obj in both]).reshape(-1, 3)
     before = centers + np.array([obj.translation for obj in both]).reshape(-1, 3)
     moved = int(sum(np.linalg.norm(obj.translation) > 0.005 for obj in both))
+    if row.camera_motion is not None:
+        moved = len(moving_labels(row))
+    moving = row.curr_labels if row.camera_motion is None else keep_labels(row.curr_labels, moving_labels(row))
     panels = [
         [
             ("previous", _with_centers(row.prev, before, None)),
@@ -52,7 +56,7 @@ def draw_pair(row: PairRow) -> Image:
         [
             ("previous labels", _draw_labels(row.prev_labels, row.prev.color)),
             ("current labels", _draw_labels(row.curr_labels, row.curr.color)),
-            (f"{row.key}: {len(row.objects)} objects, {moved} moved", _draw_labels(row.curr_labels, None)),
+            (f"{row.key}: {len(row.objects)} objects, {moved} moved", _draw_labels(moving, None)),
         ],
     ]
     return _sheet(panels)
