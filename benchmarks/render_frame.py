@@ -15,7 +15,7 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import tyro
@@ -41,7 +41,7 @@ class Settings:
     """Frames of each scene."""
     seed: int = 0
     """Of the scenes."""
-    device: str = "cpu"
+    device: Literal["cpu", "cuda"] = "cpu"
     """Of the ray-traced renderer: cpu (one core) or cuda."""
 
 

@@ -40,10 +40,21 @@ def make_model() -> Any:
     </mujoco>""")
 
 
-READ = (
-    "geom_type geom_size geom_matid geom_rgba light_active light_diffuse mat_specular mat_texid mesh_normal "
-    "mesh_faceadr cam_intrinsic flex_edge nlight"
-).split()
+READ = [
+    "geom_type",
+    "geom_size",
+    "geom_matid",
+    "geom_rgba",
+    "light_active",
+    "light_diffuse",
+    "mat_specular",
+    "mat_texid",
+    "mesh_normal",
+    "mesh_faceadr",
+    "cam_intrinsic",
+    "flex_edge",
+    "nlight",
+]
 NOT_READ_YET = "dof_tri_row"
 """Nothing that MuJoCo's own model has."""
 
