@@ -41,20 +41,10 @@ def make_model() -> Any:
 
 
 READ = [
-    "geom_type",
-    "geom_size",
-    "geom_matid",
-    "geom_rgba",
-    "light_active",
-    "light_diffuse",
-    "mat_specular",
-    "mat_texid",
-    "mesh_normal",
-    "mesh_faceadr",
-    "cam_intrinsic",
-    "flex_edge",
-    "nlight",
-]
+    "geom_type", "geom_size", "geom_matid", "geom_rgba", "light_active",
+    "light_diffuse", "mat_specular", "mat_texid", "mesh_normal", "mesh_faceadr",
+    "cam_intrinsic", "flex_edge", "nlight",
+]  # fmt: skip
 NOT_READ_YET = "dof_tri_row"
 """Nothing that MuJoCo's own model has."""
 
