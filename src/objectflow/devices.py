@@ -24,6 +24,8 @@ def find_device(name: str = "auto") -> torch.device:
         there = "no CUDA device that this torch can use" if not count else f"only {count} CUDA devices"
         raise MethodError(f"device {name} asked for, but there is {there}: leave it out, or choose cpu")
     try:
+        # Devices that this build of torch lacks fail in three ways: by their driver (RuntimeError), at their first use
+        # (AssertionError, "Torch not compiled with ..."), or for want of a kernel (NotImplementedError).
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = (str(error).splitlines() or ["it cannot be used"])[0]
