@@ -18,7 +18,7 @@ import objectflow
 from objectflow import RgbdFrame, geometry
 from objectflow.errors import MethodError
 from objectflow.instances import dense_to_motion, nearest
-from objectflow.learned import SceneFlowEstimator
+from objectflow.learned import SceneFlowEstimator, to_tensors
 from objectflow.motion import SceneMotion
 from small_networks import TINY, save
 from true_maps import Truth
@@ -181,8 +181,9 @@ def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
         maps = truth(*images)
         return maps._replace(radius=torch.full_like(maps.radius, 0.03))
 
+    cpu = torch.device("cpu")
     object.__setattr__(
-        estimator, "predict", lambda prev, curr: network(*estimator._inputs(prev), *estimator._inputs(curr))
+        estimator, "predict", lambda prev, curr: network(*to_tensors(prev, cpu), *to_tensors(curr, cpu))
     )
     motion = estimator(pair.prev, pair.curr)
     assert len(motion.objects) == count

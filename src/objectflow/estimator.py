@@ -87,6 +87,12 @@ METHODS: dict[str, MethodEntry] = {
         "SceneFlowNetS",
         still=True,
     ),
+    "rigidmatch": MethodEntry(
+        "global matching, objects as a set, motions by solving; needs weights",
+        "objectflow.rigidmatch",
+        "RigidMatchEstimator",
+        still=True,
+    ),
     "zero": MethodEntry("nothing moves: the row that every method must beat", "objectflow.baselines.zero", "Zero"),
 }
 

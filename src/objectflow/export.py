@@ -17,6 +17,8 @@ from torch import Tensor
 from objectflow import files
 from objectflow.errors import MethodError, MissingExtraError
 from objectflow.networks import DenseMotion, SceneFlowNet
+from objectflow.networks.rigidmatch.solve_later import SolveLater
+from objectflow.networks.weights import Network
 
 OPSET = 17
 INPUTS = ("prev_color", "prev_points", "curr_color", "curr_points")
@@ -25,13 +27,14 @@ TOLERANCE = 1e-4
 
 
 def export_onnx(
-    path: str | Path, network: SceneFlowNet, size: tuple[int, int], metadata: Mapping[str, Any] | None = None
+    path: str | Path, network: Network, size: tuple[int, int], metadata: Mapping[str, Any] | None = None
 ) -> dict[str, float]:
     """Write a network for frames of one size, whole or not at all.
 
     The graph has the four inputs of `SceneFlowNet.forward` (1, 3, H, W), NaN where depth is missing, and the six maps
-    of `DenseMotion` as outputs, all by name. Its metadata holds, as JSON under "objectflow", the network's settings,
-    the size and `metadata`.
+    of `DenseMotion` as outputs, all by name; for a `RigidMatch` those of `SolveLater`, since a graph has no singular
+    value decomposition. Its metadata holds, as JSON under "objectflow", the network's settings, the size and
+    `metadata`.
 
     Args:
         path: of the file; one that exists is replaced.
@@ -65,26 +68,28 @@ def export_onnx(
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3  # errors only: its warnings are about its own optimiser
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    found = session.run(list(DenseMotion._fields), {name: frames[name].numpy() for name in INPUTS})
-    differences = _compare(path, dict(zip(DenseMotion._fields, found, strict=True)), expected)
+    found = session.run(list(expected), {name: frames[name].numpy() for name in INPUTS})
+    differences = _compare(path, dict(zip(expected, found, strict=True)), expected)
     files.write_bytes(path, data)
     return differences
 
 
-def _trace(network: SceneFlowNet, frames: dict[str, Tensor]) -> tuple[bytes, DenseMotion]:
+def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
     """The graph, and what torch makes of the same frames."""
     training, device = network.training, next(network.parameters()).device
+    form = network if isinstance(network, SceneFlowNet) else SolveLater(network)
+    names = DenseMotion._fields if isinstance(network, SceneFlowNet) else SolveLater.OUTPUTS
     try:
         network.eval().cpu()
         with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
             warnings.simplefilter("ignore")  # of tracing: sizes are fixed here, and that is what is wanted
-            expected: DenseMotion = network(*frames.values())
+            expected = dict(zip(names, form(*frames.values()), strict=True))
             torch.onnx.export(
-                network,
+                form,
                 tuple(frames.values()),
                 Path(folder) / "network.onnx",
                 input_names=list(INPUTS),
-                output_names=list(DenseMotion._fields),
+                output_names=list(names),
                 opset_version=OPSET,
                 # The other exporter needs one more library and minutes for the 441 displacements.
                 dynamo=False,
@@ -107,9 +112,9 @@ def _frames(size: tuple[int, int]) -> dict[str, Tensor]:
     return frames
 
 
-def _compare(path: Path, found: dict[str, NDArray[Any]], expected: DenseMotion) -> dict[str, float]:
+def _compare(path: Path, found: dict[str, NDArray[Any]], expected: dict[str, Tensor]) -> dict[str, float]:
     differences = {}
-    for name, value in expected._asdict().items():
+    for name, value in expected.items():
         true = value.numpy()
         share = float(np.abs(found[name] - true).max() / max(np.abs(true).max(), 1e-6))
         if not share <= TOLERANCE:  # written so that NaN fails too

@@ -105,23 +105,14 @@ class SceneFlowEstimator:
 
     def resize(self, frame: RgbdFrame) -> RgbdFrame:
         """The frame with as many pixels as the network was trained with, in its own proportions."""
-        height, width = frame.depth.shape
-        scale = math.sqrt(self.size[0] * self.size[1] / (height * width))
-        return frame.resized(max(1, round(width * scale)), max(1, round(height * scale)))
+        return resize_to(frame, self.size)
 
     def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> DenseMotion:
         """The network's maps (1, C, H, W) on the estimator's device, on the pixels of frames of any one size."""
-        with torch.inference_mode():
-            out: DenseMotion = self.network(*self._inputs(prev), *self._inputs(curr))
-        return out
-
-    def _inputs(self, frame: RgbdFrame) -> tuple[Tensor, Tensor]:
-        """Colour in 0..1 and points in metres, (1, 3, H, W) each."""
         device = next(self.network.parameters()).device
-        color = torch.from_numpy(frame.color).to(device).float() / 255
-        points = torch.from_numpy(geometry.back_project(frame.depth, frame.camera)).to(device)
-        # Permuted channels are channels last as they are.
-        return color.permute(2, 0, 1)[None], points.permute(2, 0, 1)[None]
+        with torch.inference_mode():
+            out: DenseMotion = self.network(*to_tensors(prev, device), *to_tensors(curr, device))
+        return out
 
     def _check_kind(self, network: SceneFlowNet, metadata: dict[str, Any], path: Path) -> None:
         """Check that weights are of this method and not of another one."""
@@ -155,6 +146,21 @@ class SceneFlowNetCVL(SceneFlowEstimator):
     """OurC+vL of the paper: OurC trained with the variance and the violation loss."""
 
     METHOD: ClassVar[str] = "sceneflownet-c-vl"
+
+
+def resize_to(frame: RgbdFrame, size: tuple[int, int]) -> RgbdFrame:
+    """The frame in its own proportions with as many pixels as `size` (H, W) has."""
+    height, width = frame.depth.shape
+    scale = math.sqrt(size[0] * size[1] / (height * width))
+    return frame.resized(max(1, round(width * scale)), max(1, round(height * scale)))
+
+
+def to_tensors(frame: RgbdFrame, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Colour in 0..1 and points in metres, (1, 3, H, W) each, as networks take them."""
+    color = torch.from_numpy(frame.color).to(device).float() / 255
+    points = torch.from_numpy(geometry.back_project(frame.depth, frame.camera)).to(device)
+    # Permuted channels are channels last as they are.
+    return color.permute(2, 0, 1)[None], points.permute(2, 0, 1)[None]
 
 
 def trained_size(metadata: dict[str, Any], path: Path) -> tuple[int, int]:

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from objectflow import geometry
 from objectflow.errors import MethodError
-from objectflow.instances import keep_seen, rigid_flow
+from objectflow.instances import keep_seen, nearest, rigid_flow
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.networks.rigidmatch.inputs import clean_points, grid
 from objectflow.networks.rigidmatch.outputs import RigidOutput
 from objectflow.networks.rigidmatch.refinement import mix_neighbors
 
@@ -114,3 +115,29 @@ def find_objects(
         for k in range(len(kept))
     )
     return keep_seen(labels, objects)
+
+
+@torch.no_grad()
+def matched_flow(output: RigidOutput, curr_points: Tensor, stride: int, labels: Labels, points: Floats) -> Floats:
+    """The flow of each pixel's nearest match, before any solve.
+
+    Args:
+        output: of one pair.
+        curr_points: (1, 3, h, w) metres, what the network was shown.
+        stride: pixels a fine cell.
+        labels: (H, W) int32, at any size with the proportions of the network's input.
+        points: (H, W, 3) metres, NaN where depth is missing.
+
+    Returns:
+        (H, W, 3) float32 metres: 0 where labels are 0, NaN where depth is missing.
+    """
+    height, width = curr_points.shape[-2:]
+    own = grid(*clean_points(curr_points), stride).points
+    shift = (output.match[..., : own.shape[-2], : own.shape[-1]] - own)[0].permute(1, 2, 0).float().cpu().numpy()
+    rows, columns = nearest((height, width), labels.shape)
+    rows, columns = (
+        np.minimum((one + stride // 2) // stride, most - 1)
+        for one, most in zip((rows, columns), shift.shape, strict=False)
+    )
+    flow = np.where(labels[..., None] > 0, shift[rows[:, None], columns], np.float32(0))
+    return np.where(np.isnan(points), points, flow).astype(np.float32)

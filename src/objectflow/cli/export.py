@@ -38,10 +38,10 @@ class Export:
         from objectflow.export import OPSET, export_onnx
         from objectflow.find_weights import find_weights
         from objectflow.learned import trained_size
-        from objectflow.networks.weights import load_weights
+        from objectflow.networks.weights import load_network
 
         path = find_weights(self.method, self.weights)
-        network, metadata = load_weights(path)
+        network, metadata = load_network(path)
         height, width = self.size or trained_size(metadata, path)
         differences = export_onnx(self.out, network, (height, width), metadata)
         worst = max(differences, key=lambda name: differences[name])

@@ -45,7 +45,8 @@ class Attention(nn.Module):
         parts = (self.query(self.norm(x) + position), self.key(keys), self.value(values))
         query, key, value = (one.reshape(*one.shape[:2], self.heads, -1).transpose(1, 2) for one in parts)
         found = F.scaled_dot_product_attention(query, key, value, attn_mask=None if bias is None else bias.to(query))
-        return x + self.out(found.transpose(1, 2).flatten(2))
+        out: Tensor = x + self.out(found.transpose(1, 2).flatten(2))
+        return out
 
 
 class FeedForward(nn.Module):

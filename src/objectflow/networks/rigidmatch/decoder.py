@@ -46,9 +46,10 @@ class SetDecoder(nn.Module):
         self.queries_mode = settings.objects == "queries"
         layers = settings.decoder_layers if self.queries_mode else 0
         self.seed_feature = nn.Conv2d(fine, channels, 1)
-        self.place = Positions(6, channels)
-        self.token_place = Positions(6, channels)
-        self.token_norm = nn.LayerNorm(channels)
+        if layers:
+            self.place = Positions(6, channels)
+            self.token_place = Positions(6, channels)
+            self.token_norm = nn.LayerNorm(channels)
         self.across = nn.ModuleList(Attention(channels, settings.heads) for _ in range(layers))
         self.among = nn.ModuleList(Attention(channels, settings.heads) for _ in range(layers))
         self.feeds = nn.ModuleList(FeedForward(channels) for _ in range(layers))
@@ -64,19 +65,20 @@ class SetDecoder(nn.Module):
         """Find the objects of a scene."""
         size = scene.votes.shape[-2:]
         with torch.autocast(scene.votes.device.type, enabled=False):
-            votes = scene.votes.float().flatten(2).mT
+            votes = scene.votes.float().flatten(2).transpose(-2, -1)
             coarse_votes = scene.votes[..., ::2, ::2].float()
             sure = (scene.seed.sigmoid() * scene.foreground.sigmoid())[:, 0, ::2, ::2].float()
-            coarse_flat = coarse_votes.flatten(2).mT
+            coarse_flat = coarse_votes.flatten(2).transpose(-2, -1)
             index = choose_seeds(
                 coarse_flat.detach(), sure.flatten(1), self.settings.queries, self.settings.seed_radius
             )
         anchors = _at(coarse_flat, index)
-        queries = _at(self.seed_feature(scene.pixels)[..., ::2, ::2].flatten(2).mT, index)
-        tokens = self.token_norm(scene.tokens.flatten(2).mT)
+        queries = _at(self.seed_feature(scene.pixels)[..., ::2, ::2].flatten(2).transpose(-2, -1), index)
         looks = self.pixel_look(scene.pixels).flatten(2) if self.queries_mode else None
-        # Where a token lies and where its object's centre does.
-        keys = tokens + self.token_place(coarse_flat.detach()) if len(self.across) else tokens
+        if len(self.across):
+            tokens = self.token_norm(scene.tokens.flatten(2).transpose(-2, -1))
+            # Where a token's object lies, and where it was.
+            keys = tokens + self.token_place(coarse_flat.detach())
         objectness, masks = [], []
         for index_layer in range(len(self.across) + 1):
             normed = self.norm(queries)
@@ -102,7 +104,11 @@ class SetDecoder(nn.Module):
         """(B, Q, N) logits: nearness of votes in trajectory space, and likeness of looks."""
         with torch.autocast(queries.device.type, enabled=False):
             strength, radius, bias = self.shape(queries.float()).unbind(-1)
-            square = votes.square().sum(-1)[:, None] + anchors.square().sum(-1)[..., None] - 2 * anchors @ votes.mT
+            square = (
+                votes.square().sum(-1)[:, None]
+                + anchors.square().sum(-1)[..., None]
+                - 2 * anchors @ votes.transpose(-2, -1)
+            )
             distance = (square.clamp_min(0) + 1e-6).sqrt() / (_RADIUS * radius.clamp(-2, 2).exp())[..., None]
             out: Tensor = (
                 3 * strength.clamp(-2, 2).exp()[..., None] * (1 - distance.clamp(max=_FARTHEST)) + bias[..., None]

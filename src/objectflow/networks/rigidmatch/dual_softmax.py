@@ -54,7 +54,7 @@ class _DualSoftmaxMean(torch.autograd.Function):
     def backward(ctx: Any, to_sums: Tensor, to_rows: Tensor, to_columns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         weights, rows, columns, raised, hidden, values = ctx.saved_tensors
         # d weights = weights (2 d scores - d rows - d columns)
-        out = to_sums @ values.mT
+        out = to_sums @ values.transpose(-2, -1)
         out *= weights
         by_row, by_column = to_rows - out.sum(2), to_columns - out.sum(1)
         out *= 2
@@ -63,4 +63,4 @@ class _DualSoftmaxMean(torch.autograd.Function):
         column = torch.where(columns > _LEVEL - 60, by_column * torch.exp(_LEVEL - columns), 0.0)
         out.addcmul_(raised, row[:, :, None])
         out.addcmul_(raised, column[:, None])
-        return out, by_row * torch.exp(hidden - rows), weights.mT @ to_sums
+        return out, by_row * torch.exp(hidden - rows), weights.transpose(-2, -1) @ to_sums

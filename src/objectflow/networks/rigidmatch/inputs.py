@@ -38,14 +38,19 @@ def describe(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tens
     Returns:
         (B, 8, H', W') for the encoder; (B, 3, H', W') points with 0 where depth is missing; (B, 1, H', W') validity.
     """
-    finite = torch.isfinite(points).all(dim=1, keepdim=True)
-    safe = torch.where(finite, points, torch.zeros_like(points))
-    valid = (safe[:, 2:] > 0).to(points.dtype)
+    safe, valid = clean_points(points)
     inverse = valid / safe[:, 2:].clamp_min(_NEAR)
     image = torch.cat([(color - 0.45) / 0.25, inverse, valid, normals(safe, valid)], dim=1)
     height, width = color.shape[-2:]
     pad = (0, -width % multiple, 0, -height % multiple)
     return F.pad(image, pad), F.pad(safe, pad), F.pad(valid, pad)
+
+
+def clean_points(points: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, 3, H, W) with NaN -> the same with 0, and (B, 1, H, W): 1 where there is a point, else 0."""
+    finite = torch.isfinite(points).all(dim=1, keepdim=True)
+    safe = torch.where(finite, points, torch.zeros_like(points))
+    return safe, (safe[:, 2:] > 0).to(points.dtype)
 
 
 def normals(points: Tensor, valid: Tensor) -> Tensor:
@@ -72,7 +77,7 @@ def grid(points: Tensor, valid: Tensor, stride: int) -> Grid:
 
 def as_map(tokens: Tensor, size: tuple[int, int]) -> Tensor:
     """(B, h w, C) -> (B, C, h, w)."""
-    return tokens.mT.reshape(tokens.shape[0], tokens.shape[2], *size)
+    return tokens.transpose(-2, -1).reshape(tokens.shape[0], tokens.shape[2], *size)
 
 
 def cells(height: int, width: int, device: torch.device) -> Tensor:

@@ -67,14 +67,14 @@ class GlobalMatching(nn.Module):
             tokens = tokens.float()
             looks, before = tokens.chunk(2)
             place = cells(*size, tokens.device).flatten(1).T.expand(len(looks), -1, -1)
-            scores = self._scores(tokens, looks, place, prev.valid.flatten(2).mT)
+            scores = self._scores(tokens, looks, place, prev.valid.flatten(2).transpose(-2, -1))
             hidden = self.hidden(looks)[..., 0]
-            there = torch.cat([place, prev.points.flatten(2).mT, before], dim=-1)
+            there = torch.cat([place, prev.points.flatten(2).transpose(-2, -1), before], dim=-1)
             values = torch.cat([torch.ones_like(there[..., :1]), there], dim=-1)
             sums, rows, columns = dual_softmax_mean(scores, hidden, values)
             mass = sums[..., :1]
             share = sums[..., 1:] / (mass + _FALLBACK)
-            here = torch.cat([place, curr.points.flatten(2).mT], dim=-1)
+            here = torch.cat([place, curr.points.flatten(2).transpose(-2, -1)], dim=-1)
             # The missing share did not move.
             shift = share[..., :5] - mass / (mass + _FALLBACK) * here
         return CoarseMatch(
@@ -99,7 +99,7 @@ class GlobalMatching(nn.Module):
         barred = _BARRED * (1 - valid)
         curr = [scale * one, -sure * center.square().sum(-1, keepdim=True), 2 * sure * center, -sure]
         prev = [other, torch.ones_like(valid), target, target.square().sum(-1, keepdim=True)]
-        scores = torch.cat([*curr, torch.ones_like(valid)], -1) @ torch.cat([*prev, barred], -1).mT
+        scores = torch.cat([*curr, torch.ones_like(valid)], -1) @ torch.cat([*prev, barred], -1).transpose(-2, -1)
         if self.reach is not None:
             far = (place[0, :, None] - place[0, None]).abs().amax(-1) > self.reach
             scores = scores + _BARRED * far.to(scores.dtype)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,7 +12,7 @@ from objectflow.networks.rigidmatch.attention import FrameAttention, Positions
 from objectflow.networks.rigidmatch.decoder import Objects, SetDecoder
 from objectflow.networks.rigidmatch.encoder import Block, Encoder
 from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells, describe, grid
-from objectflow.networks.rigidmatch.matching import GlobalMatching
+from objectflow.networks.rigidmatch.matching import CoarseMatch, GlobalMatching
 from objectflow.networks.rigidmatch.motion import agreement, solve_motions
 from objectflow.networks.rigidmatch.outputs import RigidOutput
 from objectflow.networks.rigidmatch.refinement import FineMatch, Refinement
@@ -19,12 +20,37 @@ from objectflow.networks.rigidmatch.scene import Scene, SceneHead
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 from objectflow.torch_geometry import so3_exp
 
-_PRIOR = 1.0
+PRIOR = 1.0
 """Matches that the votes' own motion counts for in the solve."""
 _AGREE = 0.02
 """Metres: a match so far from its object's motion weighs half."""
 _STEP = 2
 """The context grid's cells in the coarse grid's."""
+
+
+class Found(NamedTuple):
+    """What is known before motions are solved.
+
+    Attributes:
+        coarse_points, points: of the current frame's grids.
+        matched, refined: the matches of both.
+        scene: what they mean.
+        objects: Q queries.
+        moves: (B, Q) logits.
+    """
+
+    coarse_points: Grid
+    points: Grid
+    matched: CoarseMatch
+    refined: FineMatch
+    scene: Scene
+    objects: Objects
+    moves: Tensor
+
+    def weights(self) -> Tensor:
+        """(B, Q, H, W): of each fine cell's match in each object's solve: mask times trust, 0 without depth."""
+        trust = self.scene.reliability.sigmoid() * self.points.valid
+        return self.objects.masks[-1].sigmoid() * trust
 
 
 class RigidMatch(nn.Module):
@@ -42,7 +68,7 @@ class RigidMatch(nn.Module):
         super().__init__()
         self.settings = settings = settings or RigidMatchSettings()
         self.encoder = Encoder(settings)
-        self.place = Positions(5, settings.channels)
+        self.place = Positions(5, settings.channels) if settings.attention_layers else None
         self.attention = FrameAttention(
             settings.channels, settings.heads, settings.attention_layers, settings.key_pool
         )
@@ -64,8 +90,35 @@ class RigidMatch(nn.Module):
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
 
         Returns:
-            Everything on grids of images padded to multiples of the coarsest stride; see `objects_at` for masks.
+            Everything, on the grids of images padded to a multiple of the coarsest stride.
         """
+        found = self.look(prev_color, prev_points, curr_color, curr_points)
+        # 6. The motions that fit the matches.
+        rotation, translation = self._motions(found)
+        return RigidOutput(
+            scores=found.matched.scores,
+            hidden=found.matched.hidden,
+            rows=found.matched.rows,
+            columns=found.matched.columns,
+            coarse_match=found.coarse_points.points + found.matched.shift[:, 2:],
+            match=found.refined.match,
+            window_logits=found.refined.logits,
+            window_center=found.refined.center,
+            reliability=found.scene.reliability,
+            foreground=found.scene.foreground,
+            seed=found.scene.seed,
+            votes=found.scene.votes,
+            anchors=found.objects.anchors,
+            objectness=found.objects.objectness,
+            masks=found.objects.masks,
+            moves=found.moves,
+            rotation=rotation,
+            translation=translation,
+            upsampling=found.scene.upsampling,
+        )
+
+    def look(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> Found:
+        """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
         # 1. Both frames through one encoder.
         described = [describe(*one, _STEP * stride) for one in ((curr_color, curr_points), (prev_color, prev_points))]
@@ -76,62 +129,45 @@ class RigidMatch(nn.Module):
         curr_fine, prev_fine = _halves(fine_grid)
         # 2. Every cell learns of its own frame and of the other.
         size = (coarse.shape[-2], coarse.shape[-1])
-        tokens = self.attention(coarse.flatten(2).mT, self._place(coarse_grid), size)
+        tokens = coarse.flatten(2).transpose(-2, -1)
+        if self.place is not None:
+            tokens = self.attention(tokens, self.place(_where(coarse_grid)), size)
         # 3. Everything is matched with everything; then each match in a small window.
         matched = self.matching(tokens, curr, prev)
         maps = as_map(tokens, size)
         refined = self.refinement(fine, maps, matched, curr_fine, prev_fine)
         # 4. What that means, cell by cell.
         scene = self.scene(fine.chunk(2)[0], maps.chunk(2)[0], matched, refined, (curr, curr_fine))
-        # 5. Objects, and their motions.
+        # 5. Objects.
         objects = self.decoder(scene)
-        rotation, translation = self._motions(objects, scene, refined, curr_fine)
         shift = (objects.anchors[..., 3:] - objects.anchors[..., :3]).norm(dim=-1, keepdim=True)
-        return RigidOutput(
-            scores=matched.scores,
-            hidden=matched.hidden,
-            rows=matched.rows,
-            columns=matched.columns,
-            coarse_match=curr.points + matched.shift[:, 2:],
-            match=refined.match,
-            window_logits=refined.logits,
-            window_center=refined.center,
-            reliability=scene.reliability,
-            foreground=scene.foreground,
-            seed=scene.seed,
-            votes=scene.votes,
-            anchors=objects.anchors,
-            objectness=objects.objectness,
-            masks=objects.masks,
-            moves=self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float(),
-            rotation=rotation,
-            translation=translation,
-            upsampling=scene.upsampling,
-        )
+        moves = self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float()
+        return Found(curr, curr_fine, matched, refined, scene, objects, moves)
 
-    def _place(self, points: Grid) -> Tensor:
-        """(2 B, N, C) of each cell's point and place in the image, a metre high."""
-        height, width = points.points.shape[-2:]
-        place = cells(height, width, points.points.device) / height
-        both = torch.cat([points.points, place.expand(len(points.points), -1, -1, -1)], dim=1)
-        out: Tensor = self.place(both.flatten(2).mT)
-        return out
-
-    def _motions(self, objects: Objects, scene: Scene, match: FineMatch, curr: Grid) -> tuple[Tensor, Tensor]:
-        X, Y = objects.anchors[..., :3], objects.anchors[..., 3:]
+    def _motions(self, found: Found) -> tuple[Tensor, Tensor]:
+        """(B, Q, 3, 3) rotations and (B, Q, 3) translations."""
+        anchors = found.objects.anchors
         if self.settings.motion == "regress":
-            found = 0.1 * self.regress(objects.queries).float()
-            R = so3_exp(10 * found[..., :3])
-            return R, Y + found[..., 3:] - (R @ X[..., None])[..., 0]
-        with torch.autocast(curr.points.device.type, enabled=False):
-            trust = scene.reliability.sigmoid() * curr.valid
-            weights = objects.masks[-1].flatten(2).sigmoid() * trust.flatten(2)
-            p, q = curr.points.flatten(2).mT, match.match.flatten(2).mT
-            R, t = solve_motions(weights, p, q, objects.anchors, prior=_PRIOR)
+            X, Y = anchors[..., :3], anchors[..., 3:]
+            change = self.regress(found.objects.queries).float()
+            R = so3_exp(change[..., :3])
+            return R, Y + 0.1 * change[..., 3:] - (R @ X[..., None])[..., 0]
+        with torch.autocast(anchors.device.type, enabled=False):
+            weights = found.weights().flatten(2)
+            p, q = found.points.points.flatten(2).transpose(-2, -1), found.refined.match.flatten(2).transpose(-2, -1)
+            R, t = solve_motions(weights, p, q, anchors, prior=PRIOR)
             for _ in range(self.settings.rounds):
                 fits = agreement(R.detach(), t.detach(), p, q, _AGREE)
-                R, t = solve_motions(weights * fits, p, q, objects.anchors, prior=_PRIOR)
+                R, t = solve_motions(weights * fits, p, q, anchors, prior=PRIOR)
         return R, t
+
+
+def _where(points: Grid) -> Tensor:
+    """(2 B, N, 5): each cell's point, and its place in an image that is a metre high."""
+    height, width = points.points.shape[-2:]
+    place = cells(height, width, points.points.device) / height
+    both = torch.cat([points.points, place.expand(len(points.points), -1, -1, -1)], dim=1)
+    return both.flatten(2).transpose(-2, -1)
 
 
 def _halves(both: Grid) -> tuple[Grid, Grid]:

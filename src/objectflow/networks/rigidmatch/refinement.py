@@ -124,9 +124,14 @@ def _update(
     start = torch.arange(batch, device=one.device)[:, None, None] * (height * width)
     flat = (index + start).flatten()
     # One row a cell, gathered whole: point, validity, and the feature.
-    table = torch.cat([prev.points, prev.valid, other], dim=1).flatten(2).mT.reshape(batch * height * width, -1)
+    table = (
+        torch.cat([prev.points, prev.valid, other], dim=1)
+        .flatten(2)
+        .transpose(-2, -1)
+        .reshape(batch * height * width, -1)
+    )
     found = table.index_select(0, flat).reshape(batch, side * side, height * width, -1)
-    logits = (found[..., 4:] * one.flatten(2).mT[:, None]).sum(-1)
+    logits = (found[..., 4:] * one.flatten(2).transpose(-2, -1)[:, None]).sum(-1)
     logits = torch.where(inside & (found[..., 3] > 0.5), logits, _BARRED)
     share = logits.softmax(dim=1)
     point = as_map((share[..., None] * found[..., :3]).sum(1), (height, width))
