@@ -21,6 +21,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -48,6 +49,8 @@ class Settings:
     """Runs of each scene; the faster one counts."""
     networks: tuple[str, ...] = ("sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl")
     """Learned methods by name."""
+    rigidmatch: tuple[str, ...] = ("full", "cpu")
+    """Sizes of `rigidmatch` with random weights; none for none."""
     device: str = "cpu"
     """Of the networks."""
     threads: int = 2
@@ -158,6 +161,54 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
     return NetworkTimes("released" if released else "random", *columns)
 
 
+def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float, float, float]:
+    """Parameters; medians over the scenes of network, whole and CPU seconds; peak MiB."""
+    import torch
+
+    import analytic
+    import objectflow
+    from objectflow.learned import resize_to
+    from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
+    from objectflow.networks.rigidmatch.settings import SMALL
+    from objectflow.networks.weights import save_weights
+
+    torch.set_num_threads(settings.threads)
+    network = RigidMatch(RigidMatchSettings() if size == "full" else SMALL)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "random.safetensors"
+        save_weights(path, network, {"size": [240, 320] if size == "full" else [120, 160]})
+        # Whatever the network says counts as an object, or nothing would be left to do behind it.
+        estimator: Any = objectflow.load(
+            "rigidmatch", camera="static", weights=path, device=settings.device, threshold=0.0
+        )
+    rows = []
+    for seed in range(settings.pairs):
+        scene = analytic.make_scene(1000 + seed, width=320, height=240)
+        small = [resize_to(frame, estimator.size) for frame in (scene.prev, scene.curr)]
+        predict, whole = partial(estimator.predict, *small), partial(estimator, scene.prev, scene.curr)
+        rows.append(
+            (
+                fastest(predict, settings.repeats),
+                fastest(whole, settings.repeats),
+                fastest(whole, settings.repeats, time.process_time),
+            )
+        )
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    count = sum(one.numel() for one in network.parameters())
+    medians = (statistics.median(column) for column in zip(*rows, strict=True))
+    return count, *medians, peak
+
+
+def time_rigidmatch(settings: Settings) -> None:
+    table = Table(title=f"rigidmatch, {settings.device}, {settings.threads} threads; seconds a pair of 320x240")
+    for column in ("size", "M parameters", "network", "whole", "whole, CPU", "peak MiB"):
+        table.add_column(column, justify="left" if column == "size" else "right")
+    for size in settings.rigidmatch:
+        count, network, whole, cpu, peak = alone(measure_rigidmatch, size, settings)
+        table.add_row(size, f"{count / 1e6:.2f}", f"{network:.3f}", f"{whole:.3f}", f"{cpu:.3f}", f"{peak:.0f}")
+    Console(width=110).print(table)
+
+
 def fastest(work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
     work()
     seconds = []
@@ -201,6 +252,8 @@ def main(settings: Settings) -> None:
         time_methods(settings)
     if settings.networks:
         time_networks(settings)
+    if settings.rigidmatch:
+        time_rigidmatch(settings)
 
 
 def time_methods(settings: Settings) -> None:

@@ -75,6 +75,8 @@ def find_objects(
         raise MethodError(f"one pair's output is needed, not {output.moves.shape[0]}: take one by select")
     sure = output.objectness[-1, 0].sigmoid()
     kept = torch.nonzero(sure > threshold)[:, 0]
+    if not len(kept):
+        return np.zeros(size, np.int32), ()
     claim = mix_neighbors(output.masks[-1][:, kept], output.upsampling)[0, :, : size[0], : size[1]].sigmoid()
     while len(kept):
         winner = (claim * sure[kept][:, None, None]).argmax(dim=0)
