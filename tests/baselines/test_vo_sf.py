@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from authors_program import DATA, PROGRAM, needs_program, vo_sf_program
+from odd_inputs import TINY_SIZES, nearly_without_depth, random_pair, with_holes
 
 import analytic
 import objectflow
 from objectflow import Camera, RgbdFrame, SceneMotion, geometry
 from objectflow.errors import FrameError
 
-ROOT = Path(__file__).resolve().parents[2]
-SHARED = ROOT.parent / "shared"
-DATA, PROGRAM = SHARED / "data", SHARED / "reference" / "vosf"
-sys.path.insert(0, str(ROOT / "benchmarks"))
-
-import vo_sf_program  # noqa: E402
-
 # --- the authors' program ---
 
 
-@pytest.mark.skipif(not PROGRAM.is_dir() or not DATA.is_dir(), reason=f"no real pairs and program output in {SHARED}")
+@needs_program
 @pytest.mark.parametrize("name", vo_sf_program.PAIRS)
 def test_what_the_authors_program_finds_is_found(name: str) -> None:
     prev, curr = vo_sf_program.read_pair(DATA / name)
@@ -114,29 +106,16 @@ def test_a_larger_image_gives_the_same_motion_on_its_own_pixels() -> None:
 
 def test_flow_is_nan_exactly_where_depth_is_missing() -> None:
     pair = scene()
-    depth = pair.curr.depth.copy()
-    depth[:, 200:] = 0
-    depth[::7, ::5] = 0
-    curr = dataclasses.replace(pair.curr, depth=depth)
-    motion = objectflow.load("vo-sf")(dataclasses.replace(pair.prev, depth=np.roll(depth, 3, 0)), curr)
+    prev, curr = with_holes(pair.prev, pair.curr)
+    motion = objectflow.load("vo-sf")(prev, curr)
     np.testing.assert_array_equal(np.isnan(motion.scene_flow).all(-1), ~curr.valid)
     assert (motion.labels[~curr.valid] == 0).all()
 
 
-@pytest.mark.parametrize("size", [(1, 1), (2, 3), (8, 6), (50, 17)])
+@pytest.mark.parametrize("size", TINY_SIZES)
 def test_tiny_images_work(size: tuple[int, int]) -> None:
     width, height = size
-    rng = np.random.default_rng(0)
-    camera = Camera(width, height, float(width), float(height), (width - 1) / 2, (height - 1) / 2)
-    prev, curr = (
-        RgbdFrame(
-            rng.integers(0, 256, (height, width, 3), dtype=np.uint8),
-            rng.uniform(0.5, 2, (height, width)).astype(np.float32),
-            camera,
-        )
-        for _ in range(2)
-    )
-    motion = objectflow.load("vo-sf")(prev, curr)
+    motion = objectflow.load("vo-sf")(*random_pair(size))
     assert motion.scene_flow.shape == (height, width, 3)
     assert np.isfinite(motion.scene_flow).all()
 
@@ -155,8 +134,6 @@ def test_one_measured_pixel_is_enough_and_absurd_depth_does_no_harm() -> None:
 
 
 def test_frames_without_depth_at_the_working_size_are_refused() -> None:
-    camera, depth = Camera(640, 480, 528.0, 528.0, 319.5, 239.5), np.zeros((480, 640), np.float32)
-    depth[0, 0] = 1  # not the pixel that is kept of its block
-    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, camera)
+    frame = nearly_without_depth()
     with pytest.raises(FrameError, match="depth"):
         objectflow.load("vo-sf")(frame, frame)
