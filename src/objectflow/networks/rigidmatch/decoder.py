@@ -96,8 +96,7 @@ class SetDecoder(nn.Module):
             queries = self.among[index_layer](queries, place, values + place, values)
             queries = self.feeds[index_layer](queries)
             # One step of mean shift: the mask's mean vote is steadier than the seed's.
-            weights = coarse_mask.sigmoid()
-            anchors = (weights @ coarse_flat + anchors) / (weights.sum(-1, keepdim=True) + 1)
+            anchors = _mean_votes(coarse_mask.sigmoid(), coarse_flat, anchors)
         return Objects(self.norm(queries), anchors, torch.stack(objectness), torch.stack(masks))
 
     def _mask(self, queries: Tensor, anchors: Tensor, votes: Tensor, looks: Tensor | None) -> Tensor:
@@ -122,3 +121,10 @@ class SetDecoder(nn.Module):
 def _at(values: Tensor, index: Tensor) -> Tensor:
     """(B, N, C) at (B, Q) -> (B, Q, C)."""
     return values.gather(1, index[..., None].expand(-1, -1, values.shape[2]))
+
+
+def _mean_votes(weights: Tensor, votes: Tensor, anchors: Tensor) -> Tensor:
+    """(B, Q, 6): means of votes (B, N, 6) under weights (B, Q, N), the anchor before counting as one vote."""
+    # Metres have too few digits in bfloat16.
+    with torch.autocast(votes.device.type, enabled=False):
+        return (weights.float() @ votes + anchors) / (weights.float().sum(-1, keepdim=True) + 1)
