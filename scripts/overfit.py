@@ -99,7 +99,7 @@ def run() -> int:
         ema_decay=0.98,
         # A radian of error costs as much as a centimetre in the recipe, so that noisy rotations do not drown the rest.
         # By heart, every motion can be known exactly: turns by half a radian are two centimetres of flow.
-        loss=dataclasses.replace(RECIPES["cpu"].loss, rotation=5.0),
+        loss=dataclasses.replace(RECIPES["cpu"].loss, rotation=5.0, radius=50.0),
         augment=AugmentSettings.nothing(),
         validate_every=200,
         validation_pairs=PAIRS,

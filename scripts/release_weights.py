@@ -70,6 +70,8 @@ class Settings:
     """Only put these weights into the package."""
     tables: Path | None = None
     """With `pack`: the tables.md of their evaluation, for the card."""
+    size: tuple[int, int] | None = None
+    """With `pack`: height and width that frames are brought to, where another size than training's proved better."""
     history: str = ""
     """With `pack`: what came before these weights' own run, in a sentence for the card."""
 
@@ -80,7 +82,7 @@ def main(settings: Settings) -> None:
 
     if settings.pack is not None:
         tables = "" if settings.tables is None else settings.tables.read_text(encoding="utf-8")
-        pack(settings.pack, tables, settings.history)
+        pack(settings.pack, tables, settings.history, settings.size)
         return
     device = settings.device
     if device == "auto":
@@ -135,9 +137,11 @@ def validation_error(weights: Path) -> float:
     return float(metrics.get("epe_cm", float("inf")))
 
 
-def pack(weights: Path, tables: str, history: str = "") -> None:
+def pack(weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None) -> None:
     """Write the weights in half precision into the package, with their card and their hash."""
     network, about = load_weights(weights)
+    if size is not None:
+        about["size"] = list(size)
     name = about["variant"]
     target = packaged_folder() / f"{name}.safetensors"
     target.parent.mkdir(exist_ok=True)
@@ -155,7 +159,7 @@ def pack(weights: Path, tables: str, history: str = "") -> None:
 def card(about: dict[str, Any], target: Path, parameters: int, tables: str, history: str) -> str:
     """What somebody who uses the weights should know, all of it from the file itself and the tables."""
     recipe = about["recipe"]
-    height, width = about["size"]
+    (trained_height, trained_width), (height, width) = recipe["size"], about["size"]
     fields = ", ".join(f"`{key}` {value}" for key, value in recipe.items() if not isinstance(value, dict))
     return f"""# {about["variant"]}
 
@@ -164,7 +168,7 @@ def card(about: dict[str, Any], target: Path, parameters: int, tables: str, hist
 | file | `{target.name}`, {target.stat().st_size / 2**20:.1f} MiB, float16 |
 | sha256 | `{hash_file(target)}` |
 | parameters | {parameters:,} |
-| trained at | {width}x{height}; other sizes are brought to as many pixels |
+| size | trained at {trained_width}x{trained_height}; frames are brought to as many pixels as {width}x{height} has |
 | recipe | `{about["recipe_name"]}`, stopped at step {about["step"]:,} after {about["seconds"] / 60:.0f} minutes |
 | data | simulated pairs, sha256 of the data set `{about["data"]}` |
 | validation | {json.dumps(about["metrics"])} |
