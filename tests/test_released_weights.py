@@ -1,0 +1,39 @@
+"""The weights in the package: whole, as their card says, and of use on pairs that they never saw."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import objectflow
+from objectflow import find_weights
+from objectflow.evaluation.flow_metrics import score_flow
+from objectflow.evaluation.segmentation_metrics import score_segmentation
+from objectflow.evaluation.sources import TINY, open_set
+
+PAIRS = 16
+
+
+@pytest.mark.parametrize("path", find_weights.packaged_weights(), ids=lambda path: path.stem)
+def test_the_card_names_the_files_hash(path: Path) -> None:
+    assert hashlib.sha256(path.read_bytes()).hexdigest() in path.with_suffix(".md").read_text(encoding="utf-8")
+    assert path.stat().st_size < 25 * 2**20
+
+
+def test_the_networks_objects_and_motions_are_better_than_none() -> None:
+    estimator = objectflow.load("sceneflownet-c-vl", camera="static", device="cpu")
+    pairs = open_set(TINY)
+    error, still, f_measure = [], [], []
+    for key in pairs.keys[:PAIRS]:
+        pair = pairs.pair(key)
+        motion = estimator(pair.prev, pair.curr)
+        truth = pair.truth
+        error.append(score_flow(motion.scene_flow, truth.scene_flow, truth.masked, truth.masked).masked.epe_cm)
+        zero = np.zeros_like(truth.scene_flow)
+        still.append(score_flow(zero, truth.scene_flow, truth.masked, truth.masked).masked.epe_cm)
+        f_measure.append(score_segmentation(truth.labels, motion.labels).mean_f.f)
+    assert np.mean(error) < 0.9 * np.mean(still)
+    assert np.mean(f_measure) > 0.5
