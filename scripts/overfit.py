@@ -1,6 +1,6 @@
 """Learn eight generated pairs by heart: the shortest proof that network, targets, losses and grouping fit together.
 
-    python scripts/overfit.py [OUT] [--variant c-vl] [--steps 2600]
+    python scripts/overfit.py [OUT] [--variant c-vl] [--steps 2200]
 
 Generates small pairs and takes the first eight with two objects or more, all of which can be extracted at the size of
 training: of some 38 pixels or more there. Trains with the cpu recipe without augmentation, validates on the same
@@ -75,7 +75,7 @@ def run() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", nargs="?", type=Path, default=Path("objectflow_out/overfit"))
     parser.add_argument("--variant", choices=("s", "c", "c-vl"), default="c-vl")
-    parser.add_argument("--steps", type=int, default=2600)
+    parser.add_argument("--steps", type=int, default=2200)
     parser.add_argument("--learning-rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
