@@ -183,7 +183,8 @@ Recipe: {fields}. {history}
 
 Trained on simulated scenes alone: everyday objects that fall close together onto a floor, seen from 0.2 to 0.8 m by
 a camera that stands still. Everything in such a scene moves; on a table where most things stand still, `consensus` is
-the safer choice. Thin, transparent and mirroring things were never seen.
+the safer choice: on a real one the network may call most of the scene moving, in many pieces. Thin, transparent and
+mirroring things were never seen.
 """
 
 

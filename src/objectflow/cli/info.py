@@ -64,7 +64,7 @@ def _weights() -> list[str]:
         try:
             _, about = read_header(path)
             height, width = about.get("size", ("?", "?"))
-            found.append(f"{path.stem} ({path.stat().st_size / 2**20:.1f} MiB, trained at {width}x{height})")
+            found.append(f"{path.stem} ({path.stat().st_size / 2**20:.1f} MiB, frames brought to {width}x{height})")
         except (MethodError, TypeError, ValueError):
             found.append(f"{path.stem} (damaged: install objectflow again)")
     return found
