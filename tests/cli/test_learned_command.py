@@ -70,7 +70,7 @@ def test_info_and_methods_tell_of_them(
     assert main(["info"]) == 0
     out = capfd.readouterr().out
     assert "sceneflownet-c-vl (" in out
-    assert "trained at 160x120" in out
+    assert "frames brought to 160x120" in out
     assert "broken (damaged" in out
     assert main(["methods"]) == 0
     listed = capfd.readouterr().out
