@@ -47,7 +47,9 @@ def mix_neighbors(values: Tensor, weights: Tensor) -> Tensor:
     """
     batch, channels, height, width = values.shape
     factor = math.isqrt(weights.shape[2])
-    padded = F.pad(values, (1, 1, 1, 1), mode="replicate")
+    # Not by F.pad, whose gradient torch.compile cannot follow where channels are innermost.
+    wide = torch.cat([values[..., :1], values, values[..., -1:]], dim=-1)
+    padded = torch.cat([wide[..., :1, :], wide, wide[..., -1:, :]], dim=-2)
     out = torch.zeros((), device=values.device, dtype=values.dtype)
     for k in range(9):
         row, column = divmod(k, 3)
