@@ -210,6 +210,17 @@ def test_neighbours_are_mixed_as_a_loop_mixes_them() -> None:
         torch.testing.assert_close(found[b, :, row, column], total)
 
 
+def test_upsampling_can_be_compiled_with_channels_innermost() -> None:
+    values = torch.rand(2, 12, 3, generator=generator(5)).transpose(1, 2).reshape(2, 3, 3, 4)
+    weights = torch.rand(2, 9, 4, 3, 4, generator=generator(6))
+    gradients = []
+    for form in (mix_neighbors, torch.compile(mix_neighbors, backend="aot_eager")):
+        one = values.clone(memory_format=torch.preserve_format).requires_grad_()
+        form(one, weights).square().sum().backward()
+        gradients.append(one.grad)
+    torch.testing.assert_close(gradients[1], gradients[0])
+
+
 def test_an_update_is_the_expectation_over_its_window() -> None:
     height, width, channels = 5, 6, 4
     one, other = torch.randn(2, 1, channels, height, width, generator=generator(7))

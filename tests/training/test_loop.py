@@ -25,7 +25,7 @@ from objectflow.networks.weights import load_weights
 from objectflow.training.averaged import AveragedWeights
 from objectflow.training.building import build_network, compiled
 from objectflow.training.feeding import on_device
-from objectflow.training.loop import train
+from objectflow.training.loop import Job, train
 from objectflow.training.parallel import Process
 from objectflow.training.watch import Watch
 from training_runs import NETWORK, PLAIN, RECIPE, job, write_set
@@ -75,6 +75,23 @@ def test_without_a_split_to_validate_on_the_last_weights_are_kept(data: Path, tm
     last = load_weights(tmp_path / "run" / "checkpoints" / "step-00000003" / "weights.safetensors")[0].state_dict()
     kept = load_weights(tmp_path / "run" / "weights.safetensors")[0].state_dict()
     assert all(torch.equal(last[name], kept[name]) for name in last)
+
+
+def test_more_sets_are_mixed_in_and_named(data: Path, tmp_path: Path) -> None:
+    more = write_set(tmp_path / "more", pairs=6)
+    recipe = dataclasses.replace(RECIPE, steps=4, validation_pairs=0)
+    both = job(data, tmp_path / "both", recipe, also=(more,))
+    assert train(both).position.step == 4
+    found = json.loads((both.out / "settings.json").read_text())["data"]
+    alone = json.loads((_trained(job(more, tmp_path / "alone", recipe)) / "settings.json").read_text())["data"]
+    assert found["also"] == [alone["train"]]
+    with pytest.raises(TrainingError, match="data"):
+        train(dataclasses.replace(both, also=(), resume=True))
+
+
+def _trained(one: Job) -> Path:
+    train(one)
+    return one.out
 
 
 def test_minutes_end_a_run(data: Path, tmp_path: Path) -> None:

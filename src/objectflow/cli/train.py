@@ -21,6 +21,7 @@ EXAMPLES = """\
   objectflow train --recipe cpu --data data --out runs/c-vl --resume
   objectflow train --recipe gpu --data data --variant s --passes 12 --batch-size 64
   objectflow train --recipe gpu --data data --network.reach 8 --loss.squared --augment.zoom 1.5
+  objectflow train --recipe gpu --data data --also wild --variant rigidmatch --out runs/rigidmatch
   torchrun --nproc-per-node 4 -m objectflow train --recipe gpu --data data --out runs/c-vl
 """
 
@@ -36,6 +37,10 @@ class Train:
 
     data: Annotated[Path, option("DIR")]
     """Data set from `objectflow generate`, with the split train, and val for validation."""
+
+    also: Annotated[tuple[Path, ...], option("DIR [DIR ...]", "")] = ()
+    """More data sets: pairs of their split train are mixed in, each as often as any other. Validation stays with
+    --data."""
 
     recipe: Annotated[str, option("NAME", "cpu")] = "cpu"
     """paper, gpu or cpu."""
@@ -74,6 +79,7 @@ class Train:
             recipe=self.settings,
             data=self.data,
             out=out,
+            also=self.also,
             resume=self.resume,
             device=self.device,
             backbone=self.backbone_weights,

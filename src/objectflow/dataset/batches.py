@@ -14,9 +14,8 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from objectflow.dataset import manifest as manifests
+from objectflow.dataset.joined import Pairs
 from objectflow.dataset.records import RecordReader, Records
-from objectflow.dataset.schema import PairRow
-from objectflow.dataset.shards import Shards
 from objectflow.dataset.targets import ObjectTable
 from objectflow.errors import DatasetError
 from objectflow.frame import Camera
@@ -73,7 +72,7 @@ class Batches:
 
     def __init__(
         self,
-        shards: Shards[PairRow],
+        shards: Pairs,
         batch_size: int,
         *,
         size: tuple[int, int] | None,
@@ -88,7 +87,7 @@ class Batches:
         """Check the part and make ready to read it.
 
         Args:
-            shards: the part, from `open_pairs`.
+            shards: the part, from `open_pairs` or `open_joined`.
             batch_size: pairs of this rank's batches.
             size: (H, W) to which frames are resized: colour by area, depth and labels to the nearest pixel, the
                 intrinsics with them. None keeps the first row's size, which all rows must then have.
@@ -112,9 +111,7 @@ class Batches:
         if verify:
             _verify(shards, rank, world_size)
         if shards.count_objects() == 0:
-            raise DatasetError(
-                f"{shards.folder}: no object in any row of {shards.part.split!r}: nothing can be learnt"
-            )
+            raise DatasetError(f"{shards.where}: no object in any row: nothing can be learnt")
         self.batch_size, self.seed, self.workers, self.shuffle = batch_size, seed, workers, shuffle
         self.rank, self.world_size = rank, world_size
         self.keys = tuple(shards.keys())
@@ -240,14 +237,13 @@ def _tensor(array: NDArray[Any]) -> Tensor:
     return torch.from_numpy(array.copy(order="C"))  # NumPy leaves odd strides on dimensions of 1, torch refuses them
 
 
-def _verify(shards: Shards[PairRow], rank: int, world_size: int) -> None:
-    for shard in shards.part.shards[rank::world_size]:
-        path = shards.folder / shard.file
-        if manifests.hash_file(path) != shard.sha256:
+def _verify(pairs: Pairs, rank: int, world_size: int) -> None:
+    for path, sha256 in pairs.files()[rank::world_size]:
+        if manifests.hash_file(path) != sha256:
             raise DatasetError(f"{path}: its hash is not the one in {manifests.FILE}: copy the file again")
 
 
-def _stored_size(shards: Shards[PairRow]) -> tuple[int, int]:
+def _stored_size(shards: Pairs) -> tuple[int, int]:
     columns, where = shards.raw(0)
     camera = Camera.from_dict(columns["camera"], where=where)
     return camera.height, camera.width

@@ -15,9 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from objectflow.dataset.joined import Pairs
 from objectflow.dataset.movers import keep_labels, without_still
-from objectflow.dataset.schema import PairRow
-from objectflow.dataset.shards import Shards
 from objectflow.errors import CameraError, DatasetError
 from objectflow.frame import Camera
 
@@ -48,7 +47,7 @@ class RecordReader:
     them, however they end. Where the temporary folder has no room, nothing is kept.
     """
 
-    def __init__(self, shards: Shards[PairRow], size: tuple[int, int], cache_bytes: int, *, exact: bool) -> None:
+    def __init__(self, shards: Pairs, size: tuple[int, int], cache_bytes: int, *, exact: bool) -> None:
         """Prepare to read.
 
         Args:

@@ -92,6 +92,15 @@ class Shards(Sequence[Row], Generic[Row]):
         self._open: dict[int, Any] = {}
         self._group: tuple[int, int, Any] | None = None
 
+    @property
+    def where(self) -> str:
+        """How messages name the part."""
+        return f"{self.folder}: split {self.part.split!r}"
+
+    def files(self) -> list[tuple[Path, str]]:
+        """Every shard's path, and the hash that it should have."""
+        return [(self.folder / shard.file, shard.sha256) for shard in self.part.shards]
+
     def __len__(self) -> int:
         return self._starts[-1]
 

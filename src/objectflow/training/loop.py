@@ -7,7 +7,7 @@ import dataclasses
 import hashlib
 import itertools
 import time
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from torch.nn.utils import clip_grad_norm_
 
 from objectflow import __version__
 from objectflow.dataset.batches import Batch, Batches
-from objectflow.dataset.manifest import Manifest, hash_file
+from objectflow.dataset.joined import open_joined
+from objectflow.dataset.manifest import Manifest, Part, hash_file
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import TrainingError
 from objectflow.networks.weights import Network, save_weights
@@ -46,6 +47,7 @@ class Job:
         recipe: how to train.
         data: folder of a data set with the split train, and val for validation.
         out: the run's folder.
+        also: more data sets; pairs of their split train are mixed in, each as often as any other.
         resume: go on from the last checkpoint there, if there is one.
         device: "auto", "cpu", "cuda" or "cuda:N".
         backbone: torchvision's `resnet50` state dict to start the colour trunk from.
@@ -57,6 +59,7 @@ class Job:
     recipe: Recipe
     data: Path
     out: Path
+    also: tuple[Path, ...] = ()
     resume: bool = False
     device: str = "auto"
     backbone: Path | None = None
@@ -120,13 +123,14 @@ def train(job: Job, watch: Watch | None = None) -> Outcome:
         process = stack.enter_context(joined(job.device))
         _fit_to_device(job.recipe, process.device)
         manifest = Manifest.read(job.data)
+        others = [Manifest.read(folder) for folder in job.also]
         batches, val = _open_data(job, process, manifest)
         network = build_network(job.recipe, process, backbone=job.backbone, start=job.start)
         optimizer = build_optimizer(job.recipe, network, process.device)
         mean = AveragedWeights(network, job.recipe.ema_decay) if job.recipe.ema_decay else None
         folder = None
         if process.first:
-            folder = stack.enter_context(opened(job.out, _settings(job, process, manifest), resume=job.resume))
+            folder = stack.enter_context(opened(job.out, _settings(job, process, manifest, others), resume=job.resume))
         process.wait()
         position = Position()
         found = checkpoints(job.out / CHECKPOINTS) if job.resume else []
@@ -136,9 +140,8 @@ def train(job: Job, watch: Watch | None = None) -> Outcome:
             folder.cut(position.step)
         watch = watch if watch is not None and process.first else Watch()
         stack.callback(watch.close)
-        run = Run(
-            job, process, watch, folder, batches, val, manifest.sha256, network, optimizer, mean, position
-        )  # fmt: skip
+        data_hash = " + ".join(one.sha256 for one in (manifest, *others))
+        run = Run(job, process, watch, folder, batches, val, data_hash, network, optimizer, mean, position)
         if run.progress() >= 1:
             return Outcome(position, finished=True)
         if val is None:
@@ -228,7 +231,9 @@ def _open_data(job: Job, process: Process, manifest: Manifest) -> tuple[Batches,
         )
     share = recipe.batch_size // process.world_size
     place: dict[str, Any] = {"size": recipe.size, "rank": process.rank, "world_size": process.world_size}
-    train = Batches(open_pairs(job.data, "train"), share, seed=recipe.seed, workers=recipe.workers, **place)
+    train = Batches(
+        open_joined((job.data, *job.also), "train"), share, seed=recipe.seed, workers=recipe.workers, **place
+    )
     if recipe.validation_pairs == 0 or job.validate_on not in manifest.parts:
         return train, None
     return train, Batches(open_pairs(job.data, job.validate_on), share, seed=0, shuffle=False, **place)
@@ -246,13 +251,13 @@ def _feed(run: Run) -> Generator[Batch, None, None]:
                 one.close()
 
 
-def _settings(job: Job, process: Process, manifest: Manifest) -> dict[str, Any]:
+def _settings(job: Job, process: Process, manifest: Manifest, others: Sequence[Manifest]) -> dict[str, Any]:
     """Everything that the weights depend on."""
-    parts = {name: part for name, part in manifest.parts.items() if name in ("train", job.validate_on)}
-    hashes = {
-        name: hashlib.sha256("\n".join(shard.sha256 for shard in part.shards).encode()).hexdigest()
-        for name, part in parts.items()
+    hashes: dict[str, Any] = {
+        name: _hash(part) for name, part in manifest.parts.items() if name in ("train", job.validate_on)
     }
+    if others:
+        hashes["also"] = [_hash(other.parts["train"]) for other in others]
     return {
         "recipe_name": job.name,
         "recipe": job.recipe.to_dict(),
@@ -262,6 +267,10 @@ def _settings(job: Job, process: Process, manifest: Manifest) -> dict[str, Any]:
         "processes": process.world_size,
         "version": __version__,
     }
+
+
+def _hash(part: Part) -> str:
+    return hashlib.sha256("\n".join(shard.sha256 for shard in part.shards).encode()).hexdigest()
 
 
 def _log(run: Run, values: dict[str, float], speed: float) -> None:
