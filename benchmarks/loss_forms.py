@@ -26,7 +26,7 @@ from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
 from objectflow.networks import DenseMotion, SceneFlowNet, scene_flow
 from objectflow.training.building import build_optimizer
-from objectflow.training.losses import compute_losses
+from objectflow.training.kinds import losses_of
 from objectflow.training.recipe import RECIPES
 from objectflow.training.step import prepare, step_generator
 
@@ -123,15 +123,7 @@ def learn(batches: Batches, squared: bool, missing: Missing, seed: int, settings
         for group in optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(step / settings.steps)
         prepared = prepare(batch.to(device), recipe, step_generator(seed, step, 0, device))
-        maps, correlation = network.predict(*prepared.images)
-        loss = compute_losses(
-            maps,
-            prepared.targets,
-            prepared.points,
-            recipe.loss_settings,
-            correlation=correlation,
-            matches=prepared.matches,
-        )["total"]
+        loss = losses_of(network.predict(*prepared.images), prepared, recipe)["total"]
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         clip_grad_norm_(network.parameters(), recipe.clip or float("inf"))

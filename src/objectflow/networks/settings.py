@@ -117,13 +117,20 @@ class NetworkSettings:
         Raises:
             MethodError: an unknown field, a value of another type, or one that no network can be built from.
         """
-        known = {field.name: field.default for field in dataclasses.fields(cls)}
-        arguments: dict[str, Any] = {}
-        for name, value in values.items():
-            if name not in known:
-                raise MethodError(f"unknown network setting {name!r}: choose from {', '.join(known)}")
-            arguments[name] = _like(known[name], value, name)
-        return cls(**arguments)
+        return cls(**read_fields(cls, values))
+
+
+def read_fields(settings: type[Any], values: dict[str, Any]) -> dict[str, Any]:
+    """JSON values as the arguments of a dataclass of numbers, strings and tuples.
+
+    Raises:
+        MethodError: an unknown field, or a value of another kind than the field's default.
+    """
+    known = {field.name: field.default for field in dataclasses.fields(settings)}
+    for name in values:
+        if name not in known:
+            raise MethodError(f"unknown network setting {name!r}: choose from {', '.join(known)}")
+    return {name: _like(known[name], value, name) for name, value in values.items()}
 
 
 def _lists(value: Any) -> Any:

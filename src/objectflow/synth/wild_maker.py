@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ from objectflow.dataset.pairing import pair_objects
 from objectflow.dataset.schema import FrameObject, PairRow
 from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
-from objectflow.synth.maker import MAX_DRAFTS, SPLITS
-from objectflow.synth.mixed_library import Meshes, open_mixed
+from objectflow.synth.drafts import draw_until_kept, library_and_broken
+from objectflow.synth.mixed_library import Meshes
 from objectflow.synth.mjcf import build_model
 from objectflow.synth.moments import Moment, pick_moment
+from objectflow.synth.objects import SPLIT_SIZES, check_split
 from objectflow.synth.physics import RejectedSceneError
 from objectflow.synth.recording import Recording
 from objectflow.synth.render import Device, Renderer
@@ -50,40 +52,30 @@ class WildScenes:
     texture_folder: Path | None = None
 
     def __post_init__(self) -> None:
-        if self.split not in SPLITS:
-            raise DatasetError(f"unknown split {self.split!r}: choose one of {', '.join(SPLITS)}")
+        check_split(self.split)
 
     def __call__(self) -> Maker:
         """The maker, with its library open and its renderer ready."""
-        library = open_mixed(self.meshes)
+        library, broken = library_and_broken(self.meshes)
         plain = dataclasses.replace(self.settings.scene, images=self.texture_folder)
         settings = dataclasses.replace(self.settings, scene=plain)
         renderer = Renderer(plain.width, plain.height, samples=self.samples, device=self.device)
-        found: dict[str, str] = getattr(library, "broken", {})
-        broken = [f"{name}: skipped: {reason}" for name, reason in sorted(found.items())]
 
         def make(task: Task) -> SceneRows:
             if task.kind != "pairs":
                 raise DatasetError("the preset wild has no sequences: leave --sequences out")
-            part = SPLITS.index(self.split)
-            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, task.scene)))
-            rejected: dict[str, int] = {}
-            skipped = list(broken)
-            clock = Clock()
+            part = list(SPLIT_SIZES).index(self.split)
+            scene_rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, task.scene)))
             name = f"{self.split}-{task.scene:06d}"
-            motionless = bool(rng.random() < settings.motionless)
-            for _ in range(MAX_DRAFTS):
-                try:
-                    clock.start()
-                    wild = draw_wild_scene(rng, library, self.split, settings, skipped.append, motionless=motionless)
-                    clock.lap("draw")
-                    rows = _make_pairs(rng, name, wild, settings, renderer, self.views, clock)
-                    return SceneRows(rows, rejected, tuple(dict.fromkeys(skipped)), clock.seconds)
-                except RejectedSceneError as error:
-                    rejected[error.reason] = rejected.get(error.reason, 0) + 1
-            raise DatasetError(
-                f"{self.split} scene {task.scene}: {MAX_DRAFTS} drafts were rejected ({rejected}): check the settings"
-            )
+            motionless = bool(scene_rng.random() < settings.motionless)
+
+            def draw(rng: np.random.Generator, clock: Clock, skip: Callable[[str], None]) -> list[dict[str, Any]]:
+                wild = draw_wild_scene(rng, library, self.split, settings, skip, motionless=motionless)
+                clock.lap("draw")
+                return _make_pairs(rng, name, wild, settings, renderer, self.views, clock)
+
+            where = f"{self.split} scene {task.scene}"
+            return draw_until_kept(scene_rng, draw, where=where, broken=broken, clock=Clock())
 
         return make
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from objectflow.errors import MethodError
+from objectflow.networks.settings import read_fields
 
 
 @dataclass(frozen=True)
@@ -98,18 +99,7 @@ class RigidMatchSettings:
         Raises:
             MethodError: an unknown field, a value of another type, or one that no network can be built from.
         """
-        known = {field.name: field.default for field in dataclasses.fields(cls)}
-        arguments: dict[str, Any] = {}
-        for name, value in values.items():
-            if name not in known:
-                raise MethodError(f"unknown network setting {name!r}: choose from {', '.join(known)}")
-            given = tuple(value) if isinstance(value, list) else value
-            if type(given) is not type(known[name]) or (
-                isinstance(given, tuple) and not all(type(one) is int for one in given)
-            ):
-                raise MethodError(f"network setting {name} must be like {known[name]!r}, not {value!r}")
-            arguments[name] = given
-        return cls(**arguments)
+        return cls(**read_fields(cls, values))
 
 
 SMALL = RigidMatchSettings(
