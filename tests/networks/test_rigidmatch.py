@@ -51,11 +51,11 @@ def test_settings_survive_json() -> None:
         ({"heads": 3}, "multiple of heads"),
         ({"queries": 0}, "queries must be at least 1, not 0"),
         ({"blocks": [1, 1]}, "blocks needs three numbers"),
-        ({"blocks": [1, 1, "a"]}, "blocks must be like"),
+        ({"blocks": [1, 1, "a"]}, "blocks must be of type int"),
         ({"matching": "local"}, "matching must be one of global, windowed, not 'local'"),
         ({"seed_radius": float("nan")}, "seed_radius must be finite"),
         ({"widths": 3}, "unknown network setting 'widths'"),
-        ({"stride": "8"}, "stride must be like 8"),
+        ({"stride": "8"}, "stride must be of type int"),
     ],
 )
 def test_settings_that_make_no_network_are_named(values: dict[str, Any], message: str) -> None:
