@@ -7,8 +7,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from objectflow import geometry
 from objectflow.dataset.schema import PairObject
-from objectflow.dataset.targets import ObjectTable, make_targets
+from objectflow.dataset.targets import ObjectTable, make_targets, with_camera
 from objectflow.errors import DatasetError
 
 
@@ -69,6 +70,22 @@ def test_maps_equal_a_loop_over_pixels() -> None:
                     np.testing.assert_allclose(targets.flow[b, :, v, u], expected, atol=1e-6)
                 else:
                     assert not targets.flow[b, :, v, u].any()
+
+
+def test_behind_a_moving_camera_the_rest_moves_as_it_does() -> None:
+    rows, labels, points = a_batch()
+    targets = make_targets(ObjectTable.from_rows(rows), labels, points)
+    camera = np.tile(np.eye(4), (3, 1, 1))
+    camera[0, :3, :3] = Rotation.from_rotvec([0.02, -0.05, 0.01]).as_matrix()
+    camera[0, :3, 3] = [0.01, 0.0, -0.03]
+    moved = with_camera(targets, points, torch.from_numpy(camera).float())
+    flow = geometry.flow_from_motions(points[0].permute(1, 2, 0).numpy(), labels[0].int().numpy(), {}, camera[0])
+    rest = (~targets.mask[0] & torch.isfinite(points[0, 2])).numpy()
+    np.testing.assert_allclose(moved.flow[0].permute(1, 2, 0).numpy()[rest], flow[rest], atol=1e-6)
+    assert np.linalg.norm(flow[rest], axis=1).min() > 0.005
+    np.testing.assert_array_equal(moved.flow[0][:, ~rest], targets.flow[0][:, ~rest])
+    np.testing.assert_array_equal(moved.flow[1:], targets.flow[1:])  # the other cameras stand still
+    assert with_camera(targets, points, None) is targets
 
 
 def test_radius_is_half_the_way_to_the_nearest_trajectory() -> None:

@@ -7,7 +7,7 @@ a few numbers an object (paper, section III; NETWORK.md gives the constants).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -67,7 +67,8 @@ class Targets:
         seen: (B, H, W) bool: of an object that both frames see; the paper's masked metrics look only here.
         index: (B, H, W) int64: its row in the object table, -1 for the background.
         rotation, translation, center: (B, 3, H, W) Q in radians, T and X in metres.
-        flow: (B, 3, H, W) metres, equation 1; 0 where depth is missing.
+        flow: (B, 3, H, W) metres, equation 1; 0 where depth is missing. With a moving camera not 0 off the objects:
+            `with_camera`.
         radius: (B, 1, H, W) metres, B.
         eta: (B, H, W) bool: one of the pixels nearest to the object's centre.
     """
@@ -127,6 +128,22 @@ def make_targets(
         radius=_spread(_radii(table, rotation_weight)[..., None], index),
         eta=_nearest_to_center(offset.square().sum(1), index, measured, table.label.shape[1], nearest),
     )
+
+
+def with_camera(targets: Targets, points: Tensor, camera_motion: Tensor | None) -> Targets:
+    """Targets whose flow off the objects is the camera's motion.
+
+    Args:
+        targets: of a batch.
+        points: (B, 3, H, W) metres, as `make_targets` took them.
+        camera_motion: (B, 4, 4) `prev_T_curr` of everything that stands still; None for a camera that does.
+    """
+    if camera_motion is None:
+        return targets
+    safe = torch.where((points[:, 2:] > 0) & torch.isfinite(points[:, 2:]), points, torch.zeros_like(points))
+    turned = torch.einsum("bij,bjhw->bihw", camera_motion[:, :3, :3], safe) + camera_motion[:, :3, 3, None, None]
+    shown = ~targets.mask & (safe[:, 2] > 0)
+    return replace(targets, flow=torch.where(shown[:, None], turned - safe, targets.flow))
 
 
 def _rows_of(table: ObjectTable, labels: Tensor) -> Tensor:

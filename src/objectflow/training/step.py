@@ -11,7 +11,7 @@ from torch import Tensor
 from objectflow.dataset.augment import augment, network_inputs
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.matches import previous_pixels
-from objectflow.dataset.targets import Targets, make_targets
+from objectflow.dataset.targets import Targets, make_targets, with_camera
 from objectflow.training.recipe import Recipe
 
 
@@ -53,6 +53,7 @@ def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> 
     targets = make_targets(
         batch.table, batch.curr_labels, seen.exact_points, rotation_weight=recipe.loss.rotation_weight
     )
+    targets = with_camera(targets, seen.exact_points, batch.camera_motion)
     images = (seen.prev_color, seen.prev_points, seen.curr_color, seen.curr_points)
     if recipe.channels_last:
         a, b, c, d = (image.contiguous(memory_format=torch.channels_last) for image in images)
