@@ -58,28 +58,28 @@ def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> Image:
     """The picture: (HEIGHT, 3 WIDTH, 3) uint8; one panel each for loss, end point error, and segmentation."""
     train = [line for line in lines if line["kind"] == "train"]
     validation = [line for line in lines if line["kind"] == "validation"]
-    loss = _pick(train, "losses", "total")
+    loss = points_of(train, "losses", "total")
     panels = [
         panel(
             [
                 Series("", (190, 207, 235), loss, thin=True),
-                Series("training", _BLUE, _smooth(loss)),
-                Series("validation", _RED, _pick(validation, "losses", "total")),
+                Series("training", _BLUE, smoothed(loss)),
+                Series("validation", _RED, points_of(validation, "losses", "total")),
             ],
             f"{title}: loss" if title else "loss",
             logarithmic=True,
         ),
         panel(
             [
-                Series("zero flow", _GREY, _pick(validation, "zero_epe_cm")),
-                Series("validation", _RED, _pick(validation, "epe_cm")),
+                Series("zero flow", _GREY, points_of(validation, "zero_epe_cm")),
+                Series("validation", _RED, points_of(validation, "epe_cm")),
             ],
             "masked end point error, cm",
         ),
         panel(
             [
-                Series("mean F", _RED, _pick(validation, "mean_f")),
-                Series("extracted objects, share", _BLUE, _pick(validation, "extracted_share")),
+                Series("mean F", _RED, points_of(validation, "mean_f")),
+                Series("extracted objects, share", _BLUE, points_of(validation, "extracted_share")),
             ],
             "segmentation",
         ),
@@ -140,7 +140,8 @@ def _legend(image: Image, series: Sequence[Series]) -> None:
         x += 60 + canvas.text_size(one.name, 20)[0]
 
 
-def _pick(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[float, float]]:
+def points_of(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[float, float]]:
+    """(step, value) of the lines that have the value, which lies at `names`, one within the other."""
     points = []
     for line in lines:
         value: Any = line
@@ -151,7 +152,7 @@ def _pick(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[float, 
     return points
 
 
-def _smooth(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+def smoothed(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
     """The mean over a window around each point, shorter towards the ends."""
     if not points:
         return []
