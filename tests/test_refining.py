@@ -79,6 +79,25 @@ def test_no_object_explains_the_depth_worse_than_before() -> None:
             assert costs[1] <= costs[0]
 
 
+def test_a_motion_does_not_go_far_to_lie_on_a_part_of_something_else() -> None:
+    """The object has gone; only a strip of the previous frame is as near as it was, half as wide as the object."""
+    height, width = 120, 160
+    curr_depth = np.full((height, width), 1.0, np.float32)
+    curr_depth[40:80, 60:100] = 0.6
+    prev_depth = np.full((height, width), 1.0, np.float32)
+    prev_depth[40:80, 85:105] = 0.57
+    frame = analytic.make_scene(1, width=width, height=height).prev
+    mask = np.zeros((height, width), bool)
+    mask[40:80, 60:100] = True
+    source = rigid.make_source(dataclasses.replace(frame, depth=curr_depth), mask)
+    target = rigid.Target(dataclasses.replace(frame, depth=prev_depth))
+    lured = geometry.make_transform(np.eye(3), [0.03, 0.0, -0.03])
+    assert depth_cost(rigid.judge(target, source, lured), source) < depth_cost(
+        rigid.judge(target, source, np.eye(4)), source
+    )
+    np.testing.assert_array_equal(refine_one(target, source, [np.eye(4), lured]), np.eye(4))
+
+
 def test_depth_cost_is_the_truncated_mean_square() -> None:
     """Against a sum over points: a wall at 1 m, seen again 2 mm behind for half of them and far off for the rest."""
     wall = np.full((60, 80), 1.0, np.float32)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import correspondence, rigid
+from objectflow import correspondence, geometry, rigid
 from objectflow.averaging import moves
 from objectflow.frame import RgbdFrame
 from objectflow.instances import nearest
@@ -22,6 +22,10 @@ POINTS = 2000
 """Of each object at most, spread evenly."""
 FEWEST_MATCHES = 6
 """Fewer say nothing about a rigid motion that chance could not."""
+SURE = 0.8
+"""Share of an object's points on the previous surface from which a motion is believed wherever it started."""
+NEAR, NEAR_TURN = 0.01, np.radians(5)
+"""Metres of the points' middle, and radians: corrections up to these are believed with any share."""
 
 
 def refine_objects(
@@ -29,7 +33,9 @@ def refine_objects(
 ) -> tuple[ObjectMotion, ...]:
     """Refine each object's motion by `rigid.refine`, from where it stands and from what image matches in its mask say.
 
-    The best of the two and of the motion as it was, by `depth_cost`, is kept: no object's depth error grows.
+    The best of the two and of the motion as it was, by `depth_cost`, is kept: no object's depth error grows. A motion
+    that goes far from where it started also has to put nearly all of the object onto the previous surface: among many
+    surfaces, one that is wrong by centimetres finds some other one to lie on.
 
     Args:
         prev, curr: the frames, of one size.
@@ -68,8 +74,18 @@ def refine_one(target: rigid.Target, source: rigid.Source, starts: list[Array]) 
     if not len(source.points):
         return starts[0]
     found = [rigid.refine(target, source, start) for start in starts]
-    found = [one for one in found if np.isfinite(one.prev_T_curr).all()]
+    found = [one for one in found if np.isfinite(one.prev_T_curr).all() and _believed(one, source, starts[0])]
     return min([*found, rigid.judge(target, source, starts[0])], key=lambda one: depth_cost(one, source)).prev_T_curr
+
+
+def _believed(found: rigid.Refined, source: rigid.Source, start: Array) -> bool:
+    """Whether a refined motion explains enough for how far it went."""
+    if found.explained * found.visible >= SURE:
+        return True
+    middle = source.points.mean(axis=0, dtype=np.float64)
+    shift = geometry.transform(found.prev_T_curr, middle) - geometry.transform(start, middle)
+    turn = geometry.rotation_angle(found.prev_T_curr[:3, :3] @ start[:3, :3].T)
+    return float(np.linalg.norm(shift)) < NEAR and float(turn) < NEAR_TURN
 
 
 def depth_cost(found: rigid.Refined, source: rigid.Source) -> float:
