@@ -27,6 +27,7 @@ EXAMPLES = """\
   objectflow evaluate --data tiny --methods zero dense-flow consensus oracle-masks oracle-motion
   objectflow evaluate --data data --split test --limit 200 --methods zero consensus --out table
   objectflow evaluate --data data --sequences --methods consensus
+  objectflow evaluate --data data --sensor structured-light --methods consensus
   objectflow evaluate --data real:recordings --methods zero dense-flow consensus --translation-only ball
   objectflow evaluate --data tiny --methods consensus quick=consensus:rounds=1,match_width=320
 """
@@ -63,6 +64,9 @@ class Evaluate:
     camera: Literal["auto", "static", "moving"] = "auto"
     """What methods are told of the camera; METHOD:camera=... says it to one."""
 
+    sensor: Annotated[str | None, option("NAME", "exact frames")] = None
+    """Show a generated set as a depth camera has it: structured-light, time-of-flight, stereo or passive-stereo."""
+
     translation_only: Annotated[tuple[str, ...], option("NAME...", "none")] = ()
     """Real objects whose true rotation is not known well enough to be scored."""
 
@@ -81,9 +85,13 @@ class Evaluate:
     def run(self) -> None:
         """Predict what is missing, score, print, write."""
         specs = parse_methods(self.methods, camera=self.camera)
-        pairs = open_set(
+        pairs: PairSet = open_set(
             self.data, split=self.split, sequences=self._sequences(), translation_only=self.translation_only
         )
+        if self.sensor is not None:
+            from objectflow.evaluation.noisy import NoisyPairs
+
+            pairs = NoisyPairs(pairs, self.sensor)
         keys = pairs.keys[: self._limit()]
         out = self.out or OUTPUT_ROOT / _folder_name(self.data, pairs)
         _check_folder(out)
