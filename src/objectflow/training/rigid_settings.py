@@ -15,11 +15,11 @@ class RigidLossSettings:
         MethodError: a weight that is negative or not finite.
     """
 
-    match: float = 1.0
+    match: float = 2.0
     """Negative log-likelihood of the true cell, from both frames' sides, or of "hidden"."""
-    window: float = 0.5
+    window: float = 1.0
     """The same within the last small window."""
-    place: float = 10.0
+    place: float = 20.0
     """Metres between a cell's expected and true place in the previous frame, on both grids."""
     reliability: float = 0.5
     """Cross entropy of "within 2 cm"."""
@@ -34,11 +34,11 @@ class RigidLossSettings:
     mask: float = 5.0
     dice: float = 5.0
     """Also in the matching, as the one above."""
-    no_object: float = 0.1
+    no_object: float = 0.5
     """Weight of queries without an object within `objectness`."""
     pixels: float = 2.0
     """Cross entropy and dice of the matched masks at every pixel; teaches the upsampling."""
-    flow: float = 20.0
+    flow: float = 40.0
     """Metres between the flow that an object's motion makes and the true one, the same for all objects."""
     moves: float = 0.5
     """Cross entropy of moving or not, of matched queries."""

@@ -47,11 +47,11 @@ class RigidMatchSettings:
     """Fine cells: the small window has (2 window + 1)^2 of them."""
     objects: Literal["queries", "spheres"] = "queries"
     """spheres: an object is what votes within a radius around a seed, as in the paper; no decoder, no looks."""
-    queries: int = 32
+    queries: int = 48
     """Most objects in a pair."""
     decoder_layers: int = 3
     """Of the queries' decoder."""
-    seed_radius: float = 0.03
+    seed_radius: float = 0.05
     """Metres in trajectory space: votes nearer to a seed make no other."""
     motion: Literal["solve", "regress"] = "solve"
     """solve: least squares over an object's matches; regress: from the object's query alone."""
