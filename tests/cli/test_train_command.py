@@ -104,7 +104,7 @@ def test_data_that_cannot_be_trained_on(data: Path, tmp_path: Path, capsys: pyte
     shard.write_bytes(bytes_)
     assert f"{shard}: its hash is not the one in manifest.json" in refused(wrong)
     write_pairs(tmp_path / "nothing", [without_objects(random_pair(0, objects=1))])
-    assert "no object in any row of 'train'" in refused(tmp_path / "nothing")
+    assert "split 'train': no object in any row" in refused(tmp_path / "nothing")
     only = write_set(tmp_path / "only")
     manifest = Manifest.read(only)
     dataclasses.replace(manifest, parts={"val": manifest.parts["val"]}).write(only)

@@ -162,7 +162,7 @@ def test_bad_data_is_named(shards: Shards[PairRow], tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no manifest.json"):
         open_pairs(tmp_path)
     empty = write_pairs(tmp_path / "empty", [without_objects(row) for row in rows])
-    with pytest.raises(DatasetError, match="no object in any row of 'train'"):
+    with pytest.raises(DatasetError, match="split 'train': no object in any row"):
         Batches(empty, 2, size=None, seed=0)
     other = random_pair(1, objects=1, camera=CAMERA.scaled(64, 48))
     mixed = write_pairs(tmp_path / "mixed", [rows[0], other])
