@@ -23,8 +23,9 @@ def test_the_card_names_the_files_hash(path: Path) -> None:
     assert path.stat().st_size < 25 * 2**20
 
 
-def test_the_networks_objects_and_motions_are_better_than_none() -> None:
-    estimator = objectflow.load("sceneflownet-c-vl", camera="static", device="cpu")
+@pytest.mark.parametrize("method", ["sceneflownet-c-vl", "rigidmatch"])
+def test_the_networks_objects_and_motions_are_better_than_none(method: str) -> None:
+    estimator = objectflow.load(method, camera="static", device="cpu")
     pairs = open_set(TINY)
     error, still, f_measure = [], [], []
     for key in pairs.keys[:PAIRS]:

@@ -46,7 +46,7 @@ class RigidMatchEstimator:
 
     camera: str = "auto"
     weights: str | Path | None = None
-    rigid: Rigid = "solve"
+    rigid: Rigid = "refine"
     device: str = "auto"
     threshold: float = THRESHOLD
     min_pixels: int = MIN_PIXELS
