@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import cv2
@@ -31,7 +32,7 @@ class Settings:
 def main(settings: Settings) -> None:
     """Read, draw, lay side by side."""
     loss, error, extracted = [], [], []
-    for run, color in zip(settings.runs, COLORS, strict=False):
+    for run, color in zip(settings.runs, itertools.cycle(COLORS), strict=False):
         lines = read_metrics(run)
         train = [line for line in lines if line["kind"] == "train"]
         validation = [line for line in lines if line["kind"] == "validation"]

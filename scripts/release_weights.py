@@ -72,6 +72,8 @@ class Settings:
     """With `pack`: the tables.md of their evaluation, for the card."""
     size: tuple[int, int] | None = None
     """With `pack`: height and width that frames are brought to, where another size than training's proved better."""
+    queries: int | None = None
+    """With `pack`: how many objects rigidmatch looks for, where more than in training proved better."""
     history: str = ""
     """With `pack`: what came before these weights' own run, in a sentence for the card."""
 
@@ -82,7 +84,7 @@ def main(settings: Settings) -> None:
 
     if settings.pack is not None:
         tables = "" if settings.tables is None else settings.tables.read_text(encoding="utf-8")
-        pack(settings.pack, tables, settings.history, settings.size)
+        pack(settings.pack, tables, settings.history, settings.size, settings.queries)
         return
     device = settings.device
     if device == "auto":
@@ -154,9 +156,13 @@ def validation_error(weights: Path) -> float:
     return float(metrics.get("epe_cm", float("inf")))
 
 
-def pack(weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None) -> None:
+def pack(
+    weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None, queries: int | None = None
+) -> None:
     """Write the weights in half precision into the package, with their card and their hash."""
     network, about = load_network(weights)
+    if queries is not None:
+        network, about = load_network(weights, settings=dataclasses.replace(network.settings, queries=queries))
     if size is not None:
         about["size"] = list(size)
     name = about["variant"]

@@ -18,7 +18,6 @@ from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean
 from objectflow.networks.rigidmatch.inputs import Grid, cells, describe, grid
 from objectflow.networks.rigidmatch.matching import GlobalMatching
 from objectflow.networks.rigidmatch.motion import agreement, solve_motions
-from objectflow.networks.rigidmatch.refinement import _update, mix_neighbors
 from objectflow.networks.rigidmatch.seeds import choose_seeds
 from objectflow.networks.rigidmatch.settings import SMALL
 from small_networks import TINY_RIGID
@@ -191,60 +190,6 @@ def test_the_prior_prefers_cells_where_it_expects_them() -> None:
     distance = torch.stack([column - place[0] - 2, row - place[1] + 1]).float()
     expected = -torch.nn.functional.softplus(torch.tensor(3.0)) / 16 * distance.square().sum(0)
     torch.testing.assert_close(found.scores[0].amax(1), expected, rtol=0, atol=1e-4)
-
-
-# --- refinement ---
-
-
-def test_neighbours_are_mixed_as_a_loop_mixes_them() -> None:
-    values = torch.rand(2, 3, 3, 4, generator=generator(5))
-    weights = torch.rand(2, 9, 4, 3, 4, generator=generator(6))
-    found = mix_neighbors(values, weights)
-    for b, row, column in np.ndindex(2, 6, 8):
-        r, c, sub = row // 2, column // 2, (row % 2) * 2 + column % 2
-        total = sum(
-            float(weights[b, k, sub, r, c])
-            * values[b, :, min(max(r + k // 3 - 1, 0), 2), min(max(c + k % 3 - 1, 0), 3)]
-            for k in range(9)
-        )
-        torch.testing.assert_close(found[b, :, row, column], total)
-
-
-def test_upsampling_can_be_compiled_with_channels_innermost() -> None:
-    values = torch.rand(2, 12, 3, generator=generator(5)).transpose(1, 2).reshape(2, 3, 3, 4)
-    weights = torch.rand(2, 9, 4, 3, 4, generator=generator(6))
-    gradients = []
-    for form in (mix_neighbors, torch.compile(mix_neighbors, backend="aot_eager")):
-        one = values.clone(memory_format=torch.preserve_format).requires_grad_()
-        form(one, weights).square().sum().backward()
-        gradients.append(one.grad)
-    torch.testing.assert_close(gradients[1], gradients[0])
-
-
-def test_an_update_is_the_expectation_over_its_window() -> None:
-    height, width, channels = 5, 6, 4
-    one, other = torch.randn(2, 1, channels, height, width, generator=generator(7))
-    prev = Grid(torch.rand(1, 3, height, width, generator=generator(8)), torch.ones(1, 1, height, width))
-    prev.valid[..., 2, 3] = 0
-    place = cells(height, width, torch.device("cpu"))[None] + torch.tensor([1.2, -0.9])[:, None, None]
-    logits, center, moved, point, peak = _update(one, other, prev, place, 1)
-    for row, column in np.ndindex(height, width):
-        middle = (min(column + 1, width - 1), max(row - 1, 0))
-        assert tuple(center[0, :, row, column].tolist()) == middle
-        found = [
-            (float(one[0, :, row, column] @ other[0, :, y, x]), x, y)
-            for y in range(middle[1] - 1, middle[1] + 2)
-            for x in range(middle[0] - 1, middle[0] + 2)
-            if 0 <= x < width and 0 <= y < height and (y, x) != (2, 3)
-        ]
-        share = torch.tensor([value for value, _, _ in found]).softmax(0)
-        expected = sum(p * prev.points[0, :, y, x] for p, (_, x, y) in zip(share, found, strict=True))
-        torch.testing.assert_close(point[0, :, row, column], expected)
-        torch.testing.assert_close(
-            moved[0, 0, row, column], sum(p * x for p, (_, x, _) in zip(share, found, strict=True))
-        )
-        torch.testing.assert_close(peak[0, 0, row, column], share.max())
-    assert logits.shape == (1, 9, height, width)
 
 
 # --- seeds ---

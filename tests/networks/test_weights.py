@@ -15,7 +15,9 @@ import torch
 
 from objectflow.errors import MethodError, StorageError
 from objectflow.networks import NetworkSettings, SceneFlowNet
-from objectflow.networks.weights import load_weights, read_header, save_weights
+from objectflow.networks.rigidmatch import RigidMatch
+from objectflow.networks.weights import load_network, load_weights, read_header, save_weights
+from small_networks import TINY_RIGID
 
 TINY = dataclasses.replace(NetworkSettings().scaled(0.125), reach=1, trunk_blocks=(1, 1))
 METADATA = {"variant": "sceneflownet-c", "size": [48, 64], "metrics": {"epe": 0.0125, "f": None}, "seconds": 3.5}
@@ -162,3 +164,15 @@ def test_nothing_is_left_where_saving_fails(tmp_path: Path) -> None:
     with pytest.raises(StorageError):
         save_weights(tmp_path / "none" / "w.safetensors", network(), {})
     assert not list(tmp_path.iterdir())
+
+
+def test_what_no_tensor_depends_on_may_be_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "weights.safetensors"
+    save_weights(path, RigidMatch(TINY_RIGID), {})
+    wanted = dataclasses.replace(TINY_RIGID, queries=TINY_RIGID.queries + 5, seed_radius=0.07)
+    loaded, _ = load_network(path, settings=wanted)
+    assert isinstance(loaded, RigidMatch)
+    assert loaded.settings == loaded.decoder.settings == wanted
+    other = dataclasses.replace(TINY_RIGID, motion="regress")
+    with pytest.raises(MethodError, match="another configuration: motion is solve there"):
+        load_network(path, settings=other)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from objectflow.errors import MethodError
 
@@ -19,6 +19,9 @@ class NetworkSettings:
     Raises:
         MethodError: a value that no network can be built from.
     """
+
+    FREE: ClassVar[frozenset[str]] = frozenset()
+    """Fields that no tensor depends on: weights serve other values too."""
 
     correlation: bool = True
     """False is OurS: one encoder for the four images, no correlation, no max-pool."""

@@ -88,7 +88,8 @@ def load_network(
     Args:
         path: of the file.
         device: where the network goes.
-        settings: what the network must be, where the caller cannot do with any other.
+        settings: what the network must be, where the caller cannot do with any other; it gets these settings' FREE
+            fields.
 
     Returns:
         The network in float32 and evaluation mode, and the metadata.
@@ -101,6 +102,7 @@ def load_network(
     found, metadata = read_header(path)
     if settings is not None:
         check_settings(found, settings, where=str(path))
+        found = settings
     try:
         tensors = safetensors.torch.load_file(path)
     except (OSError, ValueError, safetensors.SafetensorError) as error:
@@ -158,14 +160,15 @@ def check_settings(found: Settings, wanted: Settings, *, where: str) -> None:
     """Check that weights are of the configuration asked for.
 
     Raises:
-        MethodError: a field differs; the message names the first, its two values, and starts with `where`.
+        MethodError: a field that tensors depend on differs; the message names the first, its two values, and starts
+            with `where`.
     """
     if type(found) is not type(wanted):
         kinds = {kind: name for name, kind in _KINDS.items()}
         raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is asked for")
     for field in dataclasses.fields(wanted):
         one, other = getattr(found, field.name), getattr(wanted, field.name)
-        if one != other:
+        if one != other and field.name not in wanted.FREE:
             raise MethodError(
                 f"{where}: weights of another configuration: {field.name} is {one} there, but {other} is asked for"
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import typing
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from objectflow.errors import MethodError
 from objectflow.networks.settings import read_fields
@@ -18,6 +18,9 @@ class RigidMatchSettings:
     Raises:
         MethodError: a value that no network can be built from.
     """
+
+    FREE: ClassVar[frozenset[str]] = frozenset({"queries", "seed_radius", "rounds"})
+    """Fields that no tensor depends on: weights serve other values too."""
 
     stride: int = 8
     """Pixels a cell of the coarse grid, on which everything is matched with everything: 8 or 4. The fine grid's cells
