@@ -22,9 +22,13 @@ from objectflow.motion import SceneMotion
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
 from objectflow.networks.weights import load_network
 from objectflow.refining import refine_objects
+from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
 
 Rigid = Literal["none", "solve", "refine"]
+
+SURE = 0.5
+"""Least probability of an object that stands still. What moves gives itself away in other ways, and needs less."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,8 @@ class RigidMatchEstimator:
         labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
         # 4. Motions, and the flow that they make.
         if self.rigid == "refine":
-            objects = refine_objects(prev, curr, labels, objects)
+            objects = bring_to_rest(prev, curr, labels, refine_objects(prev, curr, labels, objects))
+            labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)
