@@ -84,6 +84,21 @@ def test_motions_are_carried_back_to_the_moving_camera() -> None:
     np.testing.assert_allclose(motion.camera_motion, MOTION)
 
 
+@pytest.mark.parametrize(
+    ("camera_cm", "object_cm", "moving"), [(40, 1, False), (40, 10, True), (2, 1, True), (0, 1, True)]
+)
+def test_what_the_camera_s_own_way_may_feign_is_no_mover(camera_cm: float, object_cm: float, moving: bool) -> None:
+    """A depth camera's scale is off by some percent: 1 cm is nothing beside 40, and much beside 2."""
+    pair = analytic.make_scene(5)
+    shift = geometry.make_transform(np.eye(3), [object_cm / 100, 0.0, 0.0])
+    obj = ObjectMotion(1, 100, 0.9, True, np.array([0.1, 0.0, 1.0]), shift)
+    still = SceneMotion(np.ones_like(pair.labels), np.zeros_like(pair.scene_flow), (obj,))
+    way = camera_motion((0, 0, 0), (camera_cm, 0, 0))
+    (found,) = moving_camera.compose(still, pair.curr, way).objects
+    assert found.moving is moving
+    np.testing.assert_allclose(found.prev_T_curr, way @ shift)
+
+
 def test_the_method_sees_a_still_camera_and_the_result_a_moving_one() -> None:
     still, moved = analytic.make_scene(5), analytic.make_scene(5, camera_motion=MOTION)
     truth = Truth(still)

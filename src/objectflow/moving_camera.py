@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import correspondence, geometry, rigid, warping
+from objectflow.averaging import STILL, moves
 from objectflow.consensus.background import background_motion
 from objectflow.estimator import Estimator, check_camera_option
 from objectflow.frame import Camera, RgbdFrame, check_pair
-from objectflow.motion import SceneMotion
+from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.noise import depth_sigma
 
 Array = NDArray[np.float64]
@@ -28,6 +29,9 @@ Floats = NDArray[np.float32]
 
 MATCH_WIDTH = 640
 """Pixels; wider images are matched at this width."""
+SCALE_ERROR = 0.1
+"""Of the way that the camera went past an object: a depth camera's scale is off by some percent, and what that makes
+of the camera's own motion is no object's motion."""
 
 
 @dataclass(frozen=True)
@@ -136,6 +140,8 @@ def _close_cracks(depth: Floats) -> Floats:
 def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Array) -> SceneMotion:
     """Carry motions between two frames of one camera pose back to the camera that moved.
 
+    What moved less than the camera's own way may feign is no longer said to move.
+
     Args:
         still: motions from `curr` to the previous moment, as the current camera would have seen it.
         curr: the current frame.
@@ -146,7 +152,18 @@ def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Array) -> SceneMot
     """
     points = geometry.back_project(curr.depth, curr.camera)
     flow = geometry.transform(prev_T_curr, points + still.scene_flow) - points
-    objects = tuple(dataclasses.replace(obj, prev_T_curr=prev_T_curr @ obj.prev_T_curr) for obj in still.objects)
+    objects = tuple(
+        dataclasses.replace(
+            obj, prev_T_curr=prev_T_curr @ obj.prev_T_curr, moving=obj.moving and _stands_out(obj, prev_T_curr)
+        )
+        for obj in still.objects
+    )
     return dataclasses.replace(
         still, scene_flow=flow.astype(np.float32), objects=objects, camera_motion=np.asarray(prev_T_curr)
     )
+
+
+def _stands_out(obj: ObjectMotion, prev_T_curr: Array) -> bool:
+    """Whether an object's own motion is more than the error of the camera's."""
+    passed = np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center)
+    return bool(moves(obj.prev_T_curr[:3, :3], obj.translation, max(STILL, SCALE_ERROR * float(passed))))
