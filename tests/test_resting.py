@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 import analytic
 from objectflow import geometry
-from objectflow.consensus.cost import COST_FLOATING, Look, motion_cost
+from objectflow.consensus.cost import COST_FLOATING
 from objectflow.frame import Camera, RgbdFrame
 from objectflow.motion import ObjectMotion
-from objectflow.resting import Evidence, bring_to_rest, evidence
+from objectflow.resting import Evidence, bring_to_rest, find_evidence
+from objectflow.witness import Witness
 
 Array = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ def shifted(obj: ObjectMotion, shift: tuple[float, float, float]) -> ObjectMotio
 def test_movers_keep_their_motions(width: int) -> None:
     for seed in range(51, 55):
         pair = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, width=width, height=width * 3 // 4)
-        for obj in bring_to_rest(pair.prev, pair.curr, pair.labels, objects := true_objects(pair)):
+        for obj in bring_to_rest(Witness(pair.prev, pair.curr, pair.labels), objects := true_objects(pair)):
             (true,) = (one for one in objects if one.id == obj.id)
             moved = np.linalg.norm(true.translation) > 0.02
             assert obj.moving >= moved
@@ -48,7 +49,7 @@ def test_what_stands_still_is_brought_to_rest() -> None:
     for seed in range(51, 54):
         pair = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, moving_share=0.0)
         start = tuple(shifted(obj, (0.02, 0.01, 0.0)) for obj in true_objects(pair, score=0.9))
-        for obj in bring_to_rest(pair.prev, pair.curr, pair.labels, start):
+        for obj in bring_to_rest(Witness(pair.prev, pair.curr, pair.labels), start):
             assert not obj.moving
             np.testing.assert_array_equal(obj.prev_T_curr, np.eye(4))
 
@@ -56,7 +57,7 @@ def test_what_stands_still_is_brought_to_rest() -> None:
 def test_a_small_motion_is_left_as_it_is_and_is_none() -> None:
     pair = analytic.make_scene(51, objects=(2, 2), moving_share=0.0)
     start = tuple(shifted(obj, (0.002, 0.0, 0.0)) for obj in true_objects(pair))
-    for old, new in zip(start, bring_to_rest(pair.prev, pair.curr, pair.labels, start), strict=True):
+    for old, new in zip(start, bring_to_rest(Witness(pair.prev, pair.curr, pair.labels), start), strict=True):
         assert not new.moving
         np.testing.assert_array_equal(new.prev_T_curr, old.prev_T_curr)
 
@@ -85,7 +86,7 @@ FAR = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.3])
 @pytest.mark.parametrize("score", [0.1, 0.9])
 def test_what_cannot_have_stood_still_moved_however_badly_its_motion_fits(score: float) -> None:
     """A patch that stands before the wall, and in the previous frame there was nothing but the wall."""
-    (obj,) = bring_to_rest(frame(1.0), frame(1.0, 0.8), PATCH.astype(np.int32), (patch_object(FAR, score),))
+    (obj,) = bring_to_rest(Witness(frame(1.0), frame(1.0, 0.8), PATCH.astype(np.int32)), (patch_object(FAR, score),))
     assert obj.moving
     np.testing.assert_array_equal(obj.prev_T_curr, FAR)
 
@@ -93,27 +94,23 @@ def test_what_cannot_have_stood_still_moved_however_badly_its_motion_fits(score:
 @pytest.mark.parametrize(("score", "moving"), [(0.3, False), (0.9, True)])
 def test_what_was_merely_hidden_moved_only_by_a_sure_word(score: float, moving: bool) -> None:
     """A piece of wall that something stood before: it may have been there, or not."""
-    (obj,) = bring_to_rest(frame(1.0, 0.7), frame(1.0), PATCH.astype(np.int32), (patch_object(FAR, score),))
+    (obj,) = bring_to_rest(Witness(frame(1.0, 0.7), frame(1.0), PATCH.astype(np.int32)), (patch_object(FAR, score),))
     assert obj.moving is moving
     assert np.array_equal(obj.prev_T_curr, FAR if moving else np.eye(4))
 
 
 def test_the_evidence_is_the_mean_difference_of_the_costs() -> None:
     """Half of the mask before the wall, half on it: a motion by 20 cm explains the first half and not the other."""
-    prev, curr = frame(1.0, 1.0), frame(1.0, 0.8)
     mask = PATCH.copy()
     mask[:, 50:70] = PATCH[:, 30:50]
-    points = geometry.back_project(curr.depth, CAMERA)
-    looks = Look(prev.color), Look(curr.color)
-    still = motion_cost(prev, points, np.eye(4), looks)[0]
+    witness = Witness(frame(1.0, 1.0), frame(1.0, 0.8), mask.astype(np.int32))
     back = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.2])
-    found = evidence(prev, points, looks, still, mask, back)
+    found = find_evidence(witness, patch_object(back, 0.5))
     assert found is not None
     # At rest: ruled out, and perfect. Moved: perfect, and 20 cm behind the wall: hidden, far behind, costs 2.
     assert found.gain == pytest.approx((COST_FLOATING - 2.0) / 2, abs=0.05)
     assert found.stands == pytest.approx(0.5, abs=0.01)
     assert found.impossible == pytest.approx(0.5, abs=0.01)
-    assert evidence(prev, points, looks, still, np.zeros_like(mask), back) is None
 
 
 def test_the_verdict_asks_for_gain_first() -> None:
@@ -126,6 +123,8 @@ def test_the_verdict_asks_for_gain_first() -> None:
 def test_objects_without_depth_keep_the_network_s_word() -> None:
     curr = frame(1.0)
     empty = dataclasses.replace(curr, depth=np.where(PATCH, 0, curr.depth).astype(np.float32))
-    (obj,) = bring_to_rest(curr, empty, PATCH.astype(np.int32), (patch_object(FAR, 0.1),))
+    witness = Witness(curr, empty, PATCH.astype(np.int32))
+    (obj,) = bring_to_rest(witness, (patch_object(FAR, 0.1),))
     assert obj.moving
-    assert bring_to_rest(curr, curr, PATCH.astype(np.int32), ()) == ()
+    assert find_evidence(witness, obj) is None
+    assert bring_to_rest(witness, ()) == ()

@@ -17,6 +17,7 @@ from objectflow.estimator import check_camera_option
 from objectflow.find_weights import find_weights
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.instances import keep_seen, nearest, rigid_flow
+from objectflow.joining import join_pieces
 from objectflow.learned import resize_to, to_tensors, trained_size
 from objectflow.motion import SceneMotion
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
@@ -24,10 +25,11 @@ from objectflow.networks.weights import load_network
 from objectflow.refining import refine_objects
 from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
+from objectflow.witness import Witness
 
 Rigid = Literal["none", "solve", "refine"]
 
-SURE = 0.5
+SURE = 0.3
 """Least probability of an object that stands still. What moves gives itself away in other ways, and needs less."""
 
 
@@ -93,7 +95,9 @@ class RigidMatchEstimator:
         labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
         # 4. Motions, and the flow that they make.
         if self.rigid == "refine":
-            objects = bring_to_rest(prev, curr, labels, refine_objects(prev, curr, labels, objects))
+            witness = Witness(prev, curr, labels)
+            objects = bring_to_rest(witness, refine_objects(prev, curr, labels, objects))
+            labels, objects = join_pieces(witness, labels, objects)
             labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
