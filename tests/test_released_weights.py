@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from pathlib import Path
 
@@ -38,3 +39,18 @@ def test_the_networks_objects_and_motions_are_better_than_none(method: str) -> N
         f_measure.append(score_segmentation(truth.labels, motion.labels).mean_f.f)
     assert np.mean(error) < 0.9 * np.mean(still)
     assert np.mean(f_measure) > 0.5
+
+
+def test_nothing_moves_between_a_frame_and_itself() -> None:
+    """Nor where its depth is measured twice: what the network imagines, the frames refute."""
+    estimator = objectflow.load("rigidmatch", camera="static", device="cpu")
+    pairs = open_set(TINY)
+    rng = np.random.default_rng(0)
+    for key in pairs.keys[:PAIRS:4]:
+        frame = pairs.pair(key).curr
+        noise = rng.normal(size=frame.depth.shape).astype(np.float32)
+        again = dataclasses.replace(frame, depth=np.where(frame.valid, frame.depth + 0.001 * noise, 0))
+        for prev in (frame, again):
+            motion = estimator(prev, frame)
+            assert not any(obj.moving for obj in motion.objects)
+            assert np.nanmax(np.linalg.norm(motion.scene_flow, axis=-1)) < 0.005
