@@ -20,6 +20,7 @@ from objectflow.instances import keep_seen, nearest, rigid_flow
 from objectflow.joining import join_pieces
 from objectflow.learned import resize_to, to_tensors, trained_size
 from objectflow.motion import SceneMotion
+from objectflow.motion_search import search_motions
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
 from objectflow.networks.weights import load_network
 from objectflow.refining import refine_objects
@@ -97,6 +98,7 @@ class RigidMatchEstimator:
         if self.rigid == "refine":
             witness = Witness(prev, curr, labels)
             objects = bring_to_rest(witness, refine_objects(prev, curr, labels, objects))
+            objects = search_motions(prev, curr, witness, objects)
             labels, objects = join_pieces(witness, labels, objects)
             labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
         points = geometry.back_project(curr.depth, curr.camera)

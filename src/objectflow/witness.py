@@ -30,6 +30,7 @@ class Witness:
     Attributes:
         prev, curr: the frames.
         labels: (H, W) int32 on their pixels.
+        points: (H, W, 3) float32 metres, the current frame's; NaN without depth.
     """
 
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame, labels: Labels) -> None:
@@ -39,20 +40,20 @@ class Witness:
             labels = labels[rows[:, None], columns]
             prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
         self.prev, self.curr, self.labels = prev, curr, labels
-        self._points = geometry.back_project(curr.depth, curr.camera)
+        self.points = geometry.back_project(curr.depth, curr.camera)
         self._looks = Look(prev.color), Look(curr.color)
 
     def mask(self, number: int) -> Mask:
         """(H, W) bool: the pixels of a label that have depth."""
         return np.asarray((self.labels == number) & self.curr.valid)
 
-    def cost(self, prev_T_curr: Array, mask: Mask) -> Floats:
+    def cost(self, prev_T_curr: Array, mask: Mask, *, blind: float | None = None) -> Floats:
         """(N,) of the mask's pixels, row by row: how badly they fit a motion; see `consensus.cost.motion_cost`."""
         rows, columns = np.nonzero(mask)
         if not len(rows):
             return np.zeros(0, np.float32)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        return motion_cost(self.prev, self._points, prev_T_curr, self._looks, box)[0][mask[box]]
+        return motion_cost(self.prev, self.points, prev_T_curr, self._looks, box, blind=blind)[0][mask[box]]
 
     def contact(self, mask: Mask) -> dict[int, float]:
         """Labels that touch a mask, each with the share of the common border over which the surface goes on.

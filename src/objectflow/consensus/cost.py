@@ -47,7 +47,13 @@ class Look:
 
 
 def motion_cost(
-    prev: RgbdFrame, points: Floats, prev_T_curr: Array, looks: tuple[Look, Look] | None, box: Box = EVERYWHERE
+    prev: RgbdFrame,
+    points: Floats,
+    prev_T_curr: Array,
+    looks: tuple[Look, Look] | None,
+    box: Box = EVERYWHERE,
+    *,
+    blind: float | None = None,
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """How badly a motion fits each pixel, as a negative log-likelihood.
 
@@ -57,13 +63,15 @@ def motion_cost(
         prev_T_curr: the motion.
         looks: of the previous and the current frame; None leaves colour out.
         box: rows and columns of the current frame to look at.
+        blind: cost of what the previous frame does not show, in place of `COST_HIDDEN` and `COST_UNSEEN`.
 
     Returns:
         Both of the box' size. (h, w) float32; 0 is perfect, `COST_FLOATING` is ruled out; pixels without depth get
-        `COST_UNSEEN`.
+        `COST_UNSEEN` or `blind`.
         (h, w) bool: the pixel would have been hidden behind something.
     """
     camera = prev.camera
+    cost_hidden, cost_unseen = (COST_HIDDEN, COST_UNSEEN) if blind is None else (blind, blind)
     carried = geometry.transform(prev_T_curr, points[box])
     pixels = geometry.project(carried, camera)
     z = carried[..., 2]
@@ -91,8 +99,8 @@ def motion_cost(
     # Behind what was seen there: at two sigma being hidden costs as much as a bad measurement would, and from there on
     # it is the better reading. Just behind is odder than far behind: it takes a thin thing, or a misfit.
     hidden = known & (scaled > HIDDEN_AT)
-    cost = np.where(scaled < -3, COST_FLOATING, np.where(hidden, COST_HIDDEN + (scaled < 6), cost))
-    cost = np.where(known, np.minimum(cost, COST_FLOATING), COST_UNSEEN).astype(np.float32)
+    cost = np.where(scaled < -3, COST_FLOATING, np.where(hidden, cost_hidden + (scaled < 6), cost))
+    cost = np.where(known, np.minimum(cost, COST_FLOATING), cost_unseen).astype(np.float32)
     return cost, hidden
 
 
