@@ -23,6 +23,7 @@ from objectflow.motion import SceneMotion
 from objectflow.motion_search import search_motions
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
 from objectflow.networks.weights import load_network
+from objectflow.overlooked import find_overlooked
 from objectflow.refining import refine_objects
 from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
@@ -101,6 +102,7 @@ class RigidMatchEstimator:
             objects = search_motions(prev, curr, witness, objects)
             labels, objects = join_pieces(witness, labels, objects)
             labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
+            labels, objects = find_overlooked(prev, curr, witness, labels, objects)
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)

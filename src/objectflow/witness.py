@@ -31,17 +31,22 @@ class Witness:
         prev, curr: the frames.
         labels: (H, W) int32 on their pixels.
         points: (H, W, 3) float32 metres, the current frame's; NaN without depth.
+        looks: of both.
     """
 
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame, labels: Labels) -> None:
         if curr.camera.width > WIDTH:
             height = max(1, round(curr.camera.height * WIDTH / curr.camera.width))
-            rows, columns = nearest(labels.shape, (height, WIDTH))
-            labels = labels[rows[:, None], columns]
             prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
-        self.prev, self.curr, self.labels = prev, curr, labels
+        self.prev, self.curr = prev, curr
+        self.show(labels)
         self.points = geometry.back_project(curr.depth, curr.camera)
-        self._looks = Look(prev.color), Look(curr.color)
+        self.looks = Look(prev.color), Look(curr.color)
+
+    def show(self, labels: Labels) -> None:
+        """Take other labels (H, W), on the input's pixels."""
+        rows, columns = nearest(labels.shape, self.curr.depth.shape)
+        self.labels: Labels = labels[rows[:, None], columns]
 
     def mask(self, number: int) -> Mask:
         """(H, W) bool: the pixels of a label that have depth."""
@@ -53,7 +58,7 @@ class Witness:
         if not len(rows):
             return np.zeros(0, np.float32)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        return motion_cost(self.prev, self.points, prev_T_curr, self._looks, box, blind=blind)[0][mask[box]]
+        return motion_cost(self.prev, self.points, prev_T_curr, self.looks, box, blind=blind)[0][mask[box]]
 
     def contact(self, mask: Mask) -> dict[int, float]:
         """Labels that touch a mask, each with the share of the common border over which the surface goes on.

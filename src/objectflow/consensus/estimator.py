@@ -68,6 +68,19 @@ class Consensus:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
+        return self.find(prev, curr)
+
+    def find(self, prev: RgbdFrame, curr: RgbdFrame, *, known: Mask | None = None) -> SceneMotion:
+        """What moves among pixels that nothing else explains.
+
+        Args:
+            prev, curr: the frames.
+            known: (H, W) bool of the current frame: pixels that are spoken for. Nothing is looked for there, and the
+                result has background there.
+
+        Raises:
+            FrameError: the frames differ in size or intrinsics.
+        """
         start = time.perf_counter()
         check_pair(prev, curr)
         rng = np.random.default_rng(self.seed)
@@ -80,12 +93,16 @@ class Consensus:
         background = np.eye(4) if camera_motion is None else camera_motion
         # 3. Rigid motions among the matches that are left.
         movers = _moving(matches, background, curr_m)
+        if known is not None:
+            movers = movers[~inside(known, movers, curr_m.camera)]
         hypotheses = [
             Hypothesis(p.prev_T_curr, p.matches.curr, p.matches) for p in propose(movers, curr_m.camera, rng=rng)
         ]
         # 4. Pixels to motions, motions from pixels.
         prev_s, curr_s = prev.narrowed(self.label_width), curr.narrowed(self.label_width)
         stage = Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
+        if known is not None:
+            stage.leave_out(enlarge(known, curr_s))
         masks: list[Mask] = []
         for number in range(self.rounds):
             fine = number + 1 == self.rounds
@@ -98,6 +115,8 @@ class Consensus:
         labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
         # 6. The full image: sharp labels, and the flow made again from the motions.
         labels = sharpen(labels_s, curr_s, curr)
+        if known is not None:
+            labels = np.where(known, np.int32(0), labels)
         return self._result(curr, labels, objects, camera_motion, start)
 
     def _min_pixels(self, frame: RgbdFrame) -> int:

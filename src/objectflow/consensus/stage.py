@@ -40,6 +40,13 @@ class Stage:
         self.telling = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
 
+    def leave_out(self, mask: Mask) -> None:
+        """Take pixels for background that fits, whatever the frames say there."""
+        self.background_cost = np.where(mask, np.float32(0), self.background_cost)
+        self.hidden &= ~mask
+        self.rival_cost = self.background_cost
+        self.telling = self.telling | mask
+
     def cost(self, prev_T_curr: Array, box: Box = EVERYWHERE, *, color: bool = True) -> Floats:
         """(H, W) cost of a motion within a box, ruled out elsewhere; see `motion_cost`."""
         key = (prev_T_curr.tobytes(), color)

@@ -1,0 +1,119 @@
+"""What moves though the network saw no object there: sought as `consensus` seeks it, among the pixels left over.
+
+A network knows what it was trained on. That something moved the frames tell themselves: a surface hangs where nothing
+was, or looks like another one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from objectflow import geometry
+from objectflow.consensus.cost import motion_cost
+from objectflow.consensus.estimator import Consensus
+from objectflow.frame import RgbdFrame
+from objectflow.instances import keep_seen
+from objectflow.motion import ObjectMotion
+from objectflow.witness import Witness
+
+Labels = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+
+CHANGED = 1.5
+"""Cost from which a pixel speaks against standing still."""
+LEAST_SHARE = 0.002
+"""Of the image: changed regions of fewer pixels are not looked into, nor smaller objects added."""
+RIM = 2
+"""Pixels of the input around an object that are its own: masks end a little off the edge."""
+EXPLAINED = 0.3
+"""Least score of what is added; `consensus` gives less to regions that no motion explains."""
+REACH = 7
+"""Pixels of the witness within which a piece may belong to a known object."""
+WORSE = 0.2
+"""Mean log-likelihood a pixel that a piece may lose by having that object's motion."""
+
+ALONG = 0.6
+"""Of its own way: a piece that another motion takes nearer than this to the same place goes along with it."""
+SMALL, SMALL_ALONG = 0.25, 0.5
+"""Of a neighbour's pixels: of fewer, a piece is not taken for an object by itself; the second if it goes along."""
+
+
+def find_overlooked(
+    prev: RgbdFrame, curr: RgbdFrame, witness: Witness, labels: Labels, objects: tuple[ObjectMotion, ...]
+) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+    """Add moving objects that lie beside the known ones, and to the known ones the pieces that follow their motion.
+
+    Args:
+        prev, curr: the frames, before a camera that stands still.
+        witness: the same frames; its labels follow.
+        labels: (H, W) int32 on the input's pixels.
+        objects: of these labels.
+
+    Returns:
+        Labels and objects, numbered anew from 1.
+    """
+    known = _spread(labels > 0, RIM)
+    witness.show(labels)
+    if not _has_changed(witness, known):
+        return labels, objects
+    more = Consensus(camera="static", rounds=2, min_object_share=LEAST_SHARE).find(prev, curr, known=known)
+    first = max((obj.id for obj in objects), default=0)
+    added = tuple(dataclasses.replace(obj, id=first + obj.id) for obj in more.objects if obj.score >= EXPLAINED)
+    kept = np.isin(more.labels, [obj.id - first for obj in added])
+    labels = np.where(kept, more.labels + np.int32(first), labels)
+    witness.show(labels)
+    number = np.arange(1 + first + len(more.objects), dtype=np.int32)
+    for piece in added:
+        number[piece.id] = _owner(witness, piece, objects)
+    labels = number[labels]
+    witness.show(labels)
+    return keep_seen(labels, objects + tuple(piece for piece in added if number[piece.id] == piece.id))
+
+
+def _has_changed(witness: Witness, known: Mask) -> bool:
+    """Whether a region of some size beside the known objects speaks against standing still."""
+    height, width = witness.labels.shape
+    own = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    cost, hidden = motion_cost(witness.prev, witness.points, np.eye(4), witness.looks)
+    changed = (cost >= CHANGED) & witness.curr.valid & ~hidden & ~own
+    core = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
+    return bool((sizes >= LEAST_SHARE * cost.size).any())
+
+
+def _owner(witness: Witness, piece: ObjectMotion, objects: tuple[ObjectMotion, ...]) -> int:
+    """The number of whom a piece belongs to: of a moving object nearby, its own, or 0 where it had better go.
+
+    A small piece beside a larger object whose motion does not explain it is that object's shadow or reflection, or
+    depth smeared along its edge: no object by itself.
+    """
+    mask = witness.mask(piece.id)
+    if not mask.any():
+        return 0
+    near = np.unique(witness.labels[_spread(mask, REACH)])
+    points = witness.points[mask]
+    there = geometry.transform(piece.prev_T_curr, points)
+    way = float(np.linalg.norm(there - points, axis=1).mean())
+    best, owner = float(witness.cost(piece.prev_T_curr, mask).mean()) + WORSE, piece.id
+    for obj in objects:
+        if not obj.moving or obj.id not in near:
+            continue
+        cost = float(witness.cost(obj.prev_T_curr, mask).mean())
+        apart = float(np.linalg.norm(geometry.transform(obj.prev_T_curr, points) - there, axis=1).mean())
+        if cost < best:
+            best, owner = cost, obj.id
+        elif owner == piece.id and piece.pixels < (SMALL_ALONG if apart < ALONG * way else SMALL) * obj.pixels:
+            owner = 0
+    return owner
+
+
+def _spread(mask: Mask, pixels: int) -> Mask:
+    """A mask grown by so many pixels."""
+    size = 2 * pixels + 1
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0)
