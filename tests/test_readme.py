@@ -40,7 +40,7 @@ def test_the_python_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         (tmp_path / f"color{index}.png").write_bytes(frame.color.read_bytes())
         (tmp_path / f"depth{index}.png").write_bytes(frame.depth.read_bytes())
     monkeypatch.chdir(tmp_path)
-    code = blocks("python")[0].replace('"consensus"', '"zero"')
+    code = blocks("python")[0].replace('"rigidmatch"', '"zero"')
     names = {"color1": frames[1].color, "depth1": frames[1].depth}
     exec(compile(code, "README.md", "exec"), names)
     motion = names["motion"]

@@ -11,7 +11,7 @@ from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 
-DEFAULT_METHOD = "consensus"
+DEFAULT_METHOD = "rigidmatch"
 
 
 class Estimator(Protocol):
@@ -38,6 +38,12 @@ class MethodEntry(NamedTuple):
 
 
 METHODS: dict[str, MethodEntry] = {
+    "rigidmatch": MethodEntry(
+        "global matching, objects as a set, motions by solving, checked against the frames; weights come with it",
+        "objectflow.rigidmatch",
+        "RigidMatchEstimator",
+        still=True,
+    ),
     "consensus": MethodEntry(
         "training-free: rigid motions by consensus of matched points, refined against the depth",
         "objectflow.consensus.estimator",
@@ -85,12 +91,6 @@ METHODS: dict[str, MethodEntry] = {
         "the paper's simple network, without correlation; needs weights",
         "objectflow.learned",
         "SceneFlowNetS",
-        still=True,
-    ),
-    "rigidmatch": MethodEntry(
-        "global matching, objects as a set, motions by solving; needs weights",
-        "objectflow.rigidmatch",
-        "RigidMatchEstimator",
         still=True,
     ),
     "zero": MethodEntry("nothing moves: the row that every method must beat", "objectflow.baselines.zero", "Zero"),

@@ -18,7 +18,7 @@ from objectflow.networks.rigidmatch.refinement import mix_neighbors
 Labels = NDArray[np.int32]
 Floats = NDArray[np.float32]
 
-THRESHOLD = 0.05
+THRESHOLD = 0.1
 """Least probability of being an object. So low, because two queries on one object share its probability, and because
 what overlaps and what does not move is sorted out afterwards; chosen on validation pairs."""
 _WON = 0.5
