@@ -1,4 +1,4 @@
-"""`consensus` on real pairs that lie beside the checkout; nothing of them is in the repository."""
+"""`consensus` and `rigidmatch` on real pairs that lie beside the checkout; nothing of them is in the repository."""
 
 from __future__ import annotations
 
@@ -20,9 +20,11 @@ import real_pairs  # noqa: E402
 pytestmark = pytest.mark.skipif(not (DATA / "boxes_1").is_dir(), reason=f"no real pairs in {DATA}")
 
 
-def estimate(name: str, camera: str = "auto") -> tuple[objectflow.SceneMotion, real_pairs.Truth | None, np.ndarray]:
+def estimate(
+    name: str, camera: str = "auto", method: str = "consensus"
+) -> tuple[objectflow.SceneMotion, real_pairs.Truth | None, np.ndarray]:
     prev, curr = real_pairs.read_pair(DATA / name)
-    motion = objectflow.load("consensus", camera=camera)(prev, curr)
+    motion = objectflow.load(method, camera=camera)(prev, curr)
     return motion, real_pairs.read_truth(DATA / name, curr), geometry.back_project(curr.depth, curr.camera)
 
 
@@ -67,8 +69,29 @@ def test_a_panning_camera_is_no_object() -> None:
     assert motion.objects == ()
 
 
-def test_the_robot_is_one_moving_region() -> None:
-    motion, _, _ = estimate("robot")
+@pytest.mark.parametrize(
+    ("name", "movers"), [("boxes_1", 1), ("boxes_2", 1), ("boxes_still", 0), ("bin_1", 2), ("bin_2", 2)]
+)
+def test_rigidmatch_finds_what_moves_and_nothing_else(name: str, movers: int) -> None:
+    motion, truth, points = estimate(name, camera="moving" if "bin" in name else "auto", method="rigidmatch")
+    found = [obj for obj in motion.objects if obj.moving]
+    assert len(found) == movers
+    if not movers:
+        return
+    assert truth is not None
+    true = {real_pairs.overlap(motion.labels == obj.id, truth)[0]: obj for obj in found}
+    assert set(true) == {k for k, moves in truth.moving.items() if moves}
+    for k, obj in true.items():
+        assert real_pairs.overlap(motion.labels == obj.id, truth)[1] >= 0.6  # an F-measure of 0.75
+        seen = points[truth.labels == k]
+        center = real_pairs.center_of(seen[np.isfinite(seen[:, 2])])
+        error = geometry.transform(obj.prev_T_curr, center) - geometry.transform(truth.prev_T_curr[k], center)
+        assert np.linalg.norm(error) < 0.015
+
+
+@pytest.mark.parametrize("method", ["consensus", "rigidmatch"])
+def test_the_robot_is_one_moving_region(method: str) -> None:
+    motion, _, _ = estimate("robot", method=method)
     assert len(motion.objects) == 1
     # The robot fills these columns of the picture, from its base to its head.
     rows, columns = np.nonzero(motion.labels)
