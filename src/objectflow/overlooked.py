@@ -70,9 +70,10 @@ def find_overlooked(
     number = np.arange(1 + first + len(more.objects), dtype=np.int32)
     for piece in added:
         number[piece.id] = _owner(witness, piece, objects)
-    labels = number[labels]
+    own = tuple(piece for piece in added if number[piece.id] == piece.id)
+    labels, objects = keep_seen(number[labels], objects + own)
     witness.show(labels)
-    return keep_seen(labels, objects + tuple(piece for piece in added if number[piece.id] == piece.id))
+    return labels, objects
 
 
 def _has_changed(witness: Witness, known: Mask) -> bool:

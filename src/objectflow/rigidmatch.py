@@ -27,6 +27,7 @@ from objectflow.overlooked import find_overlooked
 from objectflow.refining import refine_objects
 from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
+from objectflow.scoring import score_movers
 from objectflow.witness import Witness
 
 Rigid = Literal["none", "solve", "refine"]
@@ -103,6 +104,7 @@ class RigidMatchEstimator:
             labels, objects = join_pieces(witness, labels, objects)
             labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
             labels, objects = find_overlooked(prev, curr, witness, labels, objects)
+            objects = score_movers(witness, objects)
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)

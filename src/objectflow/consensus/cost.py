@@ -104,6 +104,20 @@ def motion_cost(
     return cost, hidden
 
 
+def certainty(cost: Floats, gain: Floats) -> float:
+    """How sure it is that pixels follow a motion: the share that it explains, less where a rival explains them too.
+
+    Args:
+        cost: (N,) of the pixels under the motion.
+        gain: (N,) by how much more they cost under the rival.
+
+    Returns:
+        0..1, to four digits.
+    """
+    fit = float((cost < 2).mean())
+    return round(fit * (1 - float(np.exp(-2 * max(0.0, float(gain.mean()))))), 4)
+
+
 def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats, box: Box) -> Floats:
     """Up to 2: the look at (u, v) in `prev` against the box' own; edges may be off by half a pixel."""
     cost = np.zeros(u.shape, np.float32)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import geometry, rigid
+from objectflow.consensus.cost import certainty
 from objectflow.consensus.stage import Stage, inside
 from objectflow.correspondence import Matches
 from objectflow.noise import depth_sigma
@@ -67,8 +68,7 @@ def settle(
         if host is not None:
             labels[masks[k] & (labels == 0)] = host
             continue
-        fit = float((cost[masks[k]] < 2).mean())
-        verdicts.append(Verdict(motions[k], round(fit * (1 - float(np.exp(-2 * gains.mean()))), 4), True))
+        verdicts.append(Verdict(motions[k], certainty(cost[masks[k]], gains), True))
         labels[masks[k] & (labels == 0)] = len(verdicts)
     for region in _unexplained(stage, ~explained & (labels == 0)):
         own = movers[inside(region, movers, target.camera)]
