@@ -61,7 +61,10 @@ def find_overlooked(
     witness.show(labels)
     if not _has_changed(witness, known):
         return labels, objects
-    more = Consensus(camera="static", rounds=2, min_object_share=LEAST_SHARE).find(prev, curr, known=known)
+    others = [(obj.prev_T_curr, labels == obj.id) for obj in objects if obj.moving]
+    more = Consensus(camera="static", rounds=2, min_object_share=LEAST_SHARE).find(
+        prev, curr, known=known, others=others
+    )
     first = max((obj.id for obj in objects), default=0)
     added = tuple(dataclasses.replace(obj, id=first + obj.id) for obj in more.objects if obj.score >= EXPLAINED)
     kept = np.isin(more.labels, [obj.id - first for obj in added])

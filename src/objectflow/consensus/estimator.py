@@ -7,6 +7,7 @@ most, give each pixel to the motion that explains it, refine, and make the flow 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -70,13 +71,21 @@ class Consensus:
         """See `Estimator`."""
         return self.find(prev, curr)
 
-    def find(self, prev: RgbdFrame, curr: RgbdFrame, *, known: Mask | None = None) -> SceneMotion:
+    def find(
+        self,
+        prev: RgbdFrame,
+        curr: RgbdFrame,
+        *,
+        known: Mask | None = None,
+        others: Sequence[tuple[Array, Mask]] = (),
+    ) -> SceneMotion:
         """What moves among pixels that nothing else explains.
 
         Args:
             prev, curr: the frames.
             known: (H, W) bool of the current frame: pixels that are spoken for. Nothing is looked for there, and the
                 result has background there.
+            others: `prev_T_curr` and (H, W) mask of each object that is known to move: what it hid may be background.
 
         Raises:
             FrameError: the frames differ in size or intrinsics.
@@ -102,7 +111,7 @@ class Consensus:
         prev_s, curr_s = prev.narrowed(self.label_width), curr.narrowed(self.label_width)
         stage = Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         if known is not None:
-            stage.leave_out(enlarge(known, curr_s))
+            stage.leave_out(enlarge(known, curr_s), [(motion, enlarge(mask, curr_s)) for motion, mask in others])
         masks: list[Mask] = []
         for number in range(self.rounds):
             fine = number + 1 == self.rounds

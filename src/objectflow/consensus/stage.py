@@ -28,6 +28,7 @@ class Stage:
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
         self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
         self.background = np.eye(4) if camera_motion is None else camera_motion
+        self._others: list[tuple[Array, Mask]] = []
         self._costs: dict[tuple[bytes, bool], tuple[Box, Floats]] = {}
         self.points = geometry.back_project(curr.depth, curr.camera)
         self.valid = curr.valid
@@ -40,8 +41,9 @@ class Stage:
         self.telling = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
 
-    def leave_out(self, mask: Mask) -> None:
-        """Take pixels for background that fits, whatever the frames say there."""
+    def leave_out(self, mask: Mask, others: list[tuple[Array, Mask]]) -> None:
+        """Take pixels for background that fits, whatever the frames say there; `others` move and hid background."""
+        self._others = others
         self.background_cost = np.where(mask, np.float32(0), self.background_cost)
         self.hidden &= ~mask
         self.rival_cost = self.background_cost
@@ -101,11 +103,12 @@ class Stage:
         Then being hidden costs only what the object's colours say: on a dull surface every motion finds the colour
         again and it says nothing, on a textured one a motion that finds it is hardly wrong.
         """
-        if not masks:
+        known = [*(zip(motions, masks, strict=True) if masks else ()), *self._others]
+        if not known:
             return self.background_cost
         height, width = self.valid.shape
         occupied = np.zeros((height, width), np.uint8)
-        for motion, mask in zip(motions, masks, strict=True):
+        for motion, mask in known:
             column, row, inside_image = self.pixels_in_prev(motion, self.points[mask & self.valid])
             occupied[row[inside_image], column[inside_image]] = 1
         spread = cv2.dilate(occupied, np.ones((5, 5)))
