@@ -99,6 +99,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
     import analytic
     import objectflow
     from objectflow import find_weights, geometry, instances, refining
+    from objectflow.errors import MethodError
     from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet
     from objectflow.networks.weights import save_weights
     from true_maps import Truth
@@ -115,7 +116,11 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
             return self.maps
 
     torch.set_num_threads(settings.threads)
-    released = any(path.stem == name for path in find_weights.packaged_weights())
+    try:
+        find_weights.find_weights(name)
+        released = True
+    except MethodError:
+        released = False
     with tempfile.TemporaryDirectory() as folder:
         random = Path(folder) / "random.safetensors"
         if not released:

@@ -1,12 +1,12 @@
-"""From nothing to released weights: generate, train every network, evaluate, and put the best into the package.
+"""From nothing to released weights: generate, train every network, evaluate, and release the best.
 
     python scripts/release_weights.py --out release                         # one GPU: hours
     python scripts/release_weights.py --out release --recipe cpu --pairs 2000 --val-pairs 128 --test-pairs 200 \
         --variants c-vl --minutes 90 --device cpu
     python scripts/release_weights.py --pack run/weights.safetensors --tables evaluation/tables.md
 
-The last one puts weights that were trained by other commands into the package, with tables that `objectflow evaluate`
-wrote for them.
+The last one releases weights that were trained by other commands, with tables that `objectflow evaluate` wrote for them.
+Those of `rigidmatch` go into the package, the paper's network's into the folder `weights` of the repository.
 
 Each step is a command of `objectflow` that can be run by hand; all of them are printed. Run again after it was
 stopped, it goes on where it was: every step continues its own work and skips what is done.
@@ -30,6 +30,8 @@ from objectflow.find_weights import packaged_folder
 from objectflow.networks.weights import load_network, read_header, save_weights
 
 Variant = Literal["s", "c", "c-vl", "rigidmatch"]
+PAPER = Path(__file__).resolve().parents[1] / "weights"
+"""Where the paper's network's weights are released; `rigidmatch`'s come with the package."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,9 +67,9 @@ class Settings:
     classical: tuple[str, ...] = ("zero", "dense-flow", "consensus")
     """Methods without weights for the tables."""
     ship: bool = True
-    """Write the best weights into the package; otherwise only say which they are."""
+    """Write the best weights into the package and the folder weights; otherwise only say which they are."""
     pack: Path | None = None
-    """Only put these weights into the package."""
+    """Only put these weights where they are released."""
     tables: Path | None = None
     """With `pack`: the tables.md of their evaluation, for the card."""
     size: tuple[int, int] | None = None
@@ -159,14 +161,14 @@ def validation_error(weights: Path) -> float:
 def pack(
     weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None, queries: int | None = None
 ) -> None:
-    """Write the weights in half precision into the package, with their card and their hash."""
+    """Write the weights in half precision where they are released, with their card and their hash."""
     network, about = load_network(weights)
     if queries is not None:
         network, about = load_network(weights, settings=dataclasses.replace(network.settings, queries=queries))
     if size is not None:
         about["size"] = list(size)
     name = about["variant"]
-    target = packaged_folder() / f"{name}.safetensors"
+    target = (packaged_folder() if name == "rigidmatch" else PAPER) / f"{name}.safetensors"
     target.parent.mkdir(exist_ok=True)
     if name != "rigidmatch":
         for old in target.parent.glob("sceneflownet-*.safetensors"):

@@ -38,8 +38,21 @@ def test_packaged_weights_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     objectflow.load(NAME)
 
 
+def test_a_folder_can_be_named_once_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(find_weights, "packaged_folder", lambda: tmp_path / "package")
+    monkeypatch.setenv(find_weights.FOLDER_VARIABLE, str(tmp_path))
+    path = save(tmp_path / f"{NAME}.safetensors")
+    assert find_weights.find_weights(NAME) == path
+    with pytest.raises(MethodError, match=r"looked for rigidmatch\.safetensors"):
+        find_weights.find_weights("rigidmatch")
+    (tmp_path / "package").mkdir()
+    packaged = save(tmp_path / "package" / f"{NAME}.safetensors")
+    assert find_weights.find_weights(NAME) == packaged
+
+
 def test_without_weights_the_message_says_how_to_get_some(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(find_weights.HUB_VARIABLE, raising=False)
+    monkeypatch.delenv(find_weights.FOLDER_VARIABLE, raising=False)
     monkeypatch.setattr(find_weights, "packaged_folder", lambda: tmp_path)
     with pytest.raises(MethodError, match=r"no weights for sceneflownet-s .*objectflow train.*hf://OWNER/NAME"):
         objectflow.load("sceneflownet-s")

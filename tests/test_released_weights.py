@@ -1,4 +1,4 @@
-"""The weights in the package: whole, as their card says, and of use on pairs that they never saw."""
+"""Released weights, in the package and beside it: whole, as their card says, and of use on pairs they never saw."""
 
 from __future__ import annotations
 
@@ -16,17 +16,24 @@ from objectflow.evaluation.segmentation_metrics import score_segmentation
 from objectflow.evaluation.sources import TINY, open_set
 
 PAIRS = 16
+PAPER = Path(__file__).resolve().parents[1] / "weights"
+"""The paper's network's, which are not in the package."""
+RELEASED = [*find_weights.packaged_weights(), *sorted(PAPER.glob("*.safetensors"))]
 
 
-@pytest.mark.parametrize("path", find_weights.packaged_weights(), ids=lambda path: path.stem)
+def test_the_package_has_the_default_methods_weights_and_the_repository_the_papers() -> None:
+    assert [path.stem for path in RELEASED] == [objectflow.DEFAULT_METHOD, "sceneflownet-c-vl"]
+
+
+@pytest.mark.parametrize("path", RELEASED, ids=lambda path: path.stem)
 def test_the_card_names_the_files_hash(path: Path) -> None:
     assert hashlib.sha256(path.read_bytes()).hexdigest() in path.with_suffix(".md").read_text(encoding="utf-8")
     assert path.stat().st_size < 25 * 2**20
 
 
-@pytest.mark.parametrize("method", ["sceneflownet-c-vl", "rigidmatch"])
-def test_the_networks_objects_and_motions_are_better_than_none(method: str) -> None:
-    estimator = objectflow.load(method, camera="static", device="cpu")
+@pytest.mark.parametrize("path", RELEASED, ids=lambda path: path.stem)
+def test_the_networks_objects_and_motions_are_better_than_none(path: Path) -> None:
+    estimator = objectflow.load(path.stem, weights=path, camera="static", device="cpu")
     pairs = open_set(TINY)
     error, still, f_measure = [], [], []
     for key in pairs.keys[:PAIRS]:

@@ -1,4 +1,4 @@
-"""Where a method's weights are: in the package, in a file or folder that the user names, or on the hub."""
+"""Where a method's weights are: in a file or folder that the user names, in the package, or on the hub."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from objectflow.errors import MethodError, MissingExtraError
 
 HUB = "hf://"
 """`hf://OWNER/NAME` or `hf://OWNER/NAME@REVISION` names a repository on the hub that holds `<method>.safetensors`."""
+FOLDER_VARIABLE = "OBJECTFLOW_WEIGHTS"
+"""An environment variable: a folder that is searched where the package has no weights of a method."""
 HUB_VARIABLE = "OBJECTFLOW_HUB"
-"""An environment variable: the repository, OWNER/NAME, that is asked where the package has no weights of a method."""
+"""An environment variable: the repository, OWNER/NAME, that is asked last."""
 _PATIENCE = 10
 """Seconds to wait for the hub's answer."""
 TRAINED = "weights.safetensors"
@@ -26,7 +28,8 @@ def find_weights(method: str, given: str | Path | None = None) -> Path:
     Args:
         method: its name.
         given: a file; a folder with `<method>.safetensors` or one that training wrote; or `hf://OWNER/NAME`. None: the
-            packaged file, else the hub's repository that `OBJECTFLOW_HUB` names.
+            packaged file, else the one in the folder that `OBJECTFLOW_WEIGHTS` names, else the hub's repository that
+            `OBJECTFLOW_HUB` names.
 
     Raises:
         MethodError: there are none; the message says how to get some.
@@ -39,11 +42,14 @@ def find_weights(method: str, given: str | Path | None = None) -> Path:
     file = packaged_folder() / f"{method}.safetensors"
     if file.is_file():
         return file
+    if folder := os.environ.get(FOLDER_VARIABLE):
+        return _from_disk(Path(folder), method)
     if repository := os.environ.get(HUB_VARIABLE):
         return _from_hub(repository, method)
     raise MethodError(
         f"no weights for {method} in this installation: train some (objectflow train) and name their file or folder, "
-        f"or a hub repository {HUB}OWNER/NAME (--weights, or weights= in Python)"
+        f"or a hub repository {HUB}OWNER/NAME (--weights, or weights= in Python); the repository's folder weights has "
+        "some of the paper's network"
     )
 
 
