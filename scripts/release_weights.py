@@ -5,7 +5,7 @@
         --variants c-vl --minutes 90 --device cpu
     python scripts/release_weights.py --pack run/weights.safetensors --tables evaluation/tables.md
 
-The last one releases weights that were trained by other commands, with tables that `objectflow evaluate` wrote for them.
+The last one releases weights that other commands trained, with tables that `objectflow evaluate` wrote for them.
 Those of `rigidmatch` go into the package, the paper's network's into the folder `weights` of the repository.
 
 Each step is a command of `objectflow` that can be run by hand; all of them are printed. Run again after it was
