@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 import analytic
 from objectflow import geometry
+from objectflow.consensus.cost import COST_HIDDEN
 from objectflow.consensus.estimator import Consensus
+from objectflow.consensus.stage import HIDDEN_BY_KNOWN, Stage
+from objectflow.frame import Camera, RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.overlooked import find_overlooked
 from objectflow.witness import Witness
@@ -135,3 +138,22 @@ def test_consensus_leaves_alone_what_is_known() -> None:
     assert not bound.labels[known].any()
     assert all(overlap(bound.labels == obj.id, known) < 0.1 for obj in bound.objects)
     assert not Consensus(camera="static").find(pair.prev, pair.curr, known=np.ones_like(known)).objects
+
+
+def test_what_a_known_mover_hid_may_be_background() -> None:
+    """A dull wall behind a box that went 0.2 m to the right: where the box was, the wall had been hidden."""
+    camera = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
+    frames = []
+    for column in (30, 70):
+        depth = np.full((120, 160), 1.0, np.float32)
+        depth[50:70, column : column + 20] = 0.6
+        frames.append(RgbdFrame(np.full((120, 160, 3), 120, np.uint8), depth, camera))
+    box = frames[1].depth < 0.8
+    motion = geometry.make_transform(np.eye(3), [-40 / 120 * 0.6, 0, 0])
+    stage = Stage(*frames, None, min_pixels=12)
+    stage.leave_out(box, [(motion, box)])
+    stage.assign([], [], [], fine=False)
+    assert stage.background_cost[60, 40] == COST_HIDDEN
+    assert stage.rival_cost[60, 40] == pytest.approx(HIDDEN_BY_KNOWN)
+    assert not stage.rival_cost[box].any()
+    assert stage.rival_cost[60, 120] == stage.background_cost[60, 120] == 0
