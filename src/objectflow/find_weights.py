@@ -43,7 +43,9 @@ def find_weights(method: str, given: str | Path | None = None) -> Path:
     if file.is_file():
         return file
     if folder := os.environ.get(FOLDER_VARIABLE):
-        return _from_disk(Path(folder), method)
+        file = Path(folder) / f"{method}.safetensors"
+        if file.is_file():
+            return file
     if repository := os.environ.get(HUB_VARIABLE):
         return _from_hub(repository, method)
     raise MethodError(

@@ -36,7 +36,6 @@ REACH = 7
 """Pixels of the witness within which a piece may belong to a known object."""
 WORSE = 0.2
 """Mean log-likelihood a pixel that a piece may lose by having that object's motion."""
-
 ALONG = 0.6
 """Of its own way: a piece that another motion takes nearer than this to the same place goes along with it."""
 SMALL, SMALL_ALONG = 0.25, 0.5

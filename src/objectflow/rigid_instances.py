@@ -20,7 +20,7 @@ Floats = NDArray[np.float32]
 
 THRESHOLD = 0.1
 """Least probability of being an object. So low, because two queries on one object share its probability, and because
-what overlaps and what does not move is sorted out afterwards; chosen on validation pairs."""
+what overlaps and what does not move is sorted out afterwards; chosen on validation pairs and on real ones."""
 _WON = 0.5
 """Least share of its mask that an object keeps where others claim the same pixels; with less it says what they say."""
 MIN_PIXELS = 20
