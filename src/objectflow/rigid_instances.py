@@ -79,22 +79,11 @@ def find_objects(
     if not len(kept):
         return np.zeros(size, np.int32), ()
     claim = mix_neighbors(output.masks[-1][:, kept], output.upsampling)[0, :, : size[0], : size[1]].sigmoid()
-    while len(kept):
-        winner = (claim * sure[kept][:, None, None]).argmax(dim=0)
-        mine = claim > 0.5
-        won = mine & (winner == torch.arange(len(kept), device=claim.device)[:, None, None])
-        counts, areas = won.flatten(1).sum(1), mine.flatten(1).sum(1)
-        weak = (counts < min_pixels) | (counts < _WON * areas)
-        if not bool(weak.any()):
-            break
-        # The weakest goes first: its pixels may make another whole.
-        worst = int(torch.where(weak, counts / areas.clamp_min(1), 2.0).argmin())
-        rest = torch.arange(len(kept), device=kept.device) != worst
-        kept, claim = kept[rest], claim[rest]
-    if not len(kept):
+    won, counts, left = _share_out(claim.flatten(1), sure[kept], min_pixels)
+    if not len(left):
         return np.zeros(size, np.int32), ()
-    number = torch.arange(1, len(kept) + 1, device=claim.device)[:, None, None]
-    labels = (won * number).amax(dim=0).to(torch.int32).cpu().numpy()
+    kept = kept[left]
+    labels = won.reshape(size).to(torch.int32).cpu().numpy()
     R, t, center, moves, score = (
         one.double().cpu().numpy()
         for one in (
@@ -109,7 +98,7 @@ def find_objects(
     objects = tuple(
         ObjectMotion(
             id=k + 1,
-            pixels=int(counts[k]),
+            pixels=counts[k],
             score=float(score[k]),
             moving=bool(moves[k] > 0.5),
             center=center[k],
@@ -118,6 +107,44 @@ def find_objects(
         for k in range(len(kept))
     )
     return keep_seen(labels, objects)
+
+
+def _share_out(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[int], Tensor]:
+    """Give pixels to masks until every mask that is left keeps enough of its own.
+
+    Args:
+        claim: (K, P) each mask's probability at each pixel.
+        sure: (K,) probability of being an object.
+        least: pixels that a mask has to win.
+
+    Returns:
+        (P,) the number from 1 of the winner among the masks left, 0 where it claims less than half; how many pixels
+        each has; and which masks are left.
+    """
+    mine = claim > 0.5
+    areas = mine.sum(1).cpu().numpy()
+    bids = claim * sure[:, None]
+    winner = bids.argmax(dim=0)
+    out = np.zeros(len(claim), bool)
+    while True:
+        won = mine.gather(0, winner[None])[0]
+        counts = torch.bincount(winner[won], minlength=len(claim)).cpu().numpy()
+        share = counts / np.maximum(areas, 1)
+        weak = ~out & ((counts < least) | (counts < _WON * areas))
+        if not weak.any():
+            break
+        # The weakest goes first: its pixels may make another whole.
+        worst = int(np.where(weak, share, 2.0).argmin())
+        out[worst] = True
+        if out.all():
+            break
+        bids[worst] = -1
+        free = torch.nonzero(winner == worst)[:, 0]
+        winner[free] = bids[:, free].argmax(dim=0)
+    left = torch.from_numpy(np.flatnonzero(~out)).to(claim.device)
+    number = torch.zeros(len(claim), dtype=torch.long, device=claim.device)
+    number[left] = torch.arange(1, len(left) + 1, device=claim.device)
+    return torch.where(won, number[winner], 0), counts[~out].tolist(), left
 
 
 @torch.no_grad()

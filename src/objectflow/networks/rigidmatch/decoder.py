@@ -103,11 +103,11 @@ class SetDecoder(nn.Module):
         """(B, Q, N) logits: nearness of votes in trajectory space, and likeness of looks."""
         with torch.autocast(queries.device.type, enabled=False):
             strength, radius, bias = self.shape(queries.float()).unbind(-1)
+            # In float64: a seed is at a distance of 0 from itself, and the root of what rounding left would be 1 mm.
+            far, near = votes.double(), anchors.double()
             square = (
-                votes.square().sum(-1)[:, None]
-                + anchors.square().sum(-1)[..., None]
-                - 2 * anchors @ votes.transpose(-2, -1)
-            )
+                far.square().sum(-1)[:, None] + near.square().sum(-1)[..., None] - 2 * near @ far.transpose(-2, -1)
+            ).float()
             distance = (square.clamp_min(0) + 1e-6).sqrt() / (_RADIUS * radius.clamp(-2, 2).exp())[..., None]
             out: Tensor = (
                 3 * strength.clamp(-2, 2).exp()[..., None] * (1 - distance.clamp(max=_FARTHEST)) + bias[..., None]

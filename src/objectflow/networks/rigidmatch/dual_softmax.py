@@ -28,16 +28,17 @@ def dual_softmax_mean(scores: Tensor, hidden: Tensor, values: Tensor) -> tuple[T
     if torch.is_grad_enabled() and (scores.requires_grad or values.requires_grad):
         sums, rows, columns = _DualSoftmaxMean.apply(scores, hidden, values)  # type: ignore[no-untyped-call]
         return sums, rows, columns
-    weights, rows, columns, _ = _weights(scores, hidden)
-    return weights @ values, rows, columns
+    raised, row, column = _raise(scores, hidden)
+    # The columns' sums divide the few values, not the table, which is passed over as seldom as possible.
+    by_row = (raised / row[:, :, None]).mul_(raised)
+    return by_row @ (values / column[:, :, None]), row.log() + _LEVEL, column.log() + _LEVEL
 
 
-def _weights(scores: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    raised = torch.exp(scores - _LEVEL)
+def _raise(scores: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Exponentials, and their sums over rows (with hidden) and over columns, all over exp(_LEVEL)."""
+    raised = torch.sub(scores, _LEVEL).exp_()
     row = (raised.sum(2) + torch.exp(hidden - _LEVEL)).clamp_min(_LEAST)
-    column = raised.sum(1).clamp_min(_LEAST)
-    weights = (raised / row[:, :, None]) * (raised / column[:, None])
-    return weights, row.log() + _LEVEL, column.log() + _LEVEL, raised
+    return raised, row, raised.sum(1).clamp_min(_LEAST)
 
 
 class _DualSoftmaxMean(torch.autograd.Function):
@@ -45,7 +46,9 @@ class _DualSoftmaxMean(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, scores: Tensor, hidden: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        weights, rows, columns, raised = _weights(scores, hidden)
+        raised, row, column = _raise(scores, hidden)
+        weights = (raised / row[:, :, None]).mul_(raised / column[:, None])
+        rows, columns = row.log() + _LEVEL, column.log() + _LEVEL
         ctx.save_for_backward(weights, rows, columns, raised, hidden, values)
         return weights @ values, rows, columns
 
