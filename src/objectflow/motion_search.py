@@ -60,6 +60,13 @@ class Guesses:
         return Guesses(np.concatenate([self.rotations, other.rotations]), np.concatenate([self.places, other.places]))
 
 
+class Aligner(NamedTuple):
+    """Both frames, ready for `rigid.refine`."""
+
+    target: rigid.Target
+    sources: rigid.Sources
+
+
 class Round(NamedTuple):
     """Guesses are scattered by `turn` (radians) and `shift` (metres) into about `number`, judged, and `kept`."""
 
@@ -102,8 +109,9 @@ def search_motions(
     }
     if not doubted:
         return objects
-    frames, target = SampledCost(prev, curr), rigid.Target(witness.prev)
-    found = {number: _search(frames, target, witness, mask, motions[number]) for number, mask in doubted.items()}
+    aligner = Aligner(rigid.Target(witness.prev), rigid.Sources(witness.curr))
+    frames = SampledCost(prev, curr)
+    found = {number: _search(frames, aligner, witness, mask, motions[number]) for number, mask in doubted.items()}
     return tuple(_with_motion(obj, found.get(obj.id, obj.prev_T_curr)) for obj in objects)
 
 
@@ -115,9 +123,7 @@ def _with_motion(obj: ObjectMotion, motion: Array) -> ObjectMotion:
     return dataclasses.replace(new, moving=bool(moves(motion[:3, :3], new.translation)))
 
 
-def _search(
-    frames: SampledCost, target: rigid.Target, witness: Witness, mask: NDArray[np.bool_], first: Array
-) -> Array:
+def _search(frames: SampledCost, aligner: Aligner, witness: Witness, mask: NDArray[np.bool_], first: Array) -> Array:
     """The motion of one object: `first`, or one that explains it better."""
     random = np.random.default_rng(int(mask.sum()))
     rows, columns = np.nonzero(mask)
@@ -129,12 +135,12 @@ def _search(
     middle = points.mean(axis=0, dtype=np.float64)
     guesses = sift(frames, points, looks, first, random)
 
-    source = rigid.make_source(witness.curr, mask, limit=_ALIGNED_POINTS)
+    source = aligner.sources.take(mask, limit=_ALIGNED_POINTS)
     own, still = (witness.cost(motion, mask, blind=BLIND).mean() for motion in (first, np.eye(4)))
     best, out = min(own, still) - GAIN, first
     for rotation, place in zip(guesses.rotations[:_ALIGNED], guesses.places[:_ALIGNED], strict=True):
         start = geometry.make_transform(rotation, place - rotation @ middle)
-        motion = rigid.refine(target, source, start, iterations=_ITERATIONS).prev_T_curr
+        motion = rigid.refine(aligner.target, source, start, iterations=_ITERATIONS).prev_T_curr
         cost = witness.cost(motion, mask, blind=BLIND)
         far = np.linalg.norm(geometry.transform(motion, middle) - geometry.transform(first, middle))
         total = float(cost.mean()) + FAR * float(far)

@@ -52,13 +52,13 @@ def refine_objects(
         rows, columns = nearest(labels.shape, (height, WIDTH))
         labels = labels[rows[:, None], columns]
         prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
-    target = rigid.Target(prev)
+    target, sources = rigid.Target(prev), rigid.Sources(curr)
     matches = correspondence.find_matches(prev, curr)
     column, row = np.rint(matches.pixels).astype(np.intp).T
     owner = labels[np.clip(row, 0, labels.shape[0] - 1), np.clip(column, 0, labels.shape[1] - 1)]
     out = []
     for obj in objects:
-        source = rigid.make_source(curr, labels == obj.id, limit=POINTS)
+        source = sources.take(labels == obj.id, limit=POINTS)
         starts = [obj.prev_T_curr]
         own = matches[owner == obj.id]
         if len(own.curr) >= FEWEST_MATCHES:

@@ -97,19 +97,16 @@ class Target:
     Attributes:
         camera: the frame's camera.
         points, normals: (H, W, 3) float32; NaN where there is no depth or no surface.
-        images: grey images, coarse to fine; gradients: du and dv of each, per pixel.
+        surface: (H W, 6) float32: points and normals once more, as rows that are fetched whole.
+        shades: (H, W, 3) float32 for each of `GRAY_BLURS`: grey levels, and their slopes du and dv a pixel.
     """
 
     def __init__(self, prev: RgbdFrame) -> None:
         self.camera = prev.camera
         self.points = geometry.back_project(prev.depth, prev.camera)
         self.normals = surface_normals(prev.depth, prev.camera)
-        base = gray(prev.color).astype(np.float32)
-        self.images: list[NDArray[Any]] = [cv2.GaussianBlur(base, (0, 0), sigma) for sigma in GRAY_BLURS]
-        self.gradients: list[tuple[NDArray[Any], NDArray[Any]]] = [
-            (cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=1 / 8), cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=1 / 8))
-            for image in self.images
-        ]
+        self.surface = np.concatenate([self.points, self.normals], axis=-1).reshape(-1, 6)
+        self.shades = [_with_slopes(image) for image in blurred(prev)]
 
 
 GRAY_BLURS = (3.0, 1.0)
@@ -145,21 +142,43 @@ class Refined:
     depth_error: float
 
 
-def make_source(curr: RgbdFrame, mask: NDArray[np.bool_], *, limit: int = 4000) -> Source:
-    """The points of a mask, thinned evenly to at most `limit`.
+class Sources:
+    """The current frame, made ready to hand out the points of one object after the other."""
 
-    Args:
-        curr: the current frame.
-        mask: (H, W) bool; pixels without depth are left out.
-        limit: refinement needs no more points than this to be as exact as the sensor.
-    """
-    rows, columns = np.nonzero(mask & curr.valid)
-    if len(rows) > limit:
-        pick = np.linspace(0, len(rows) - 1, limit).astype(int)
-        rows, columns = rows[pick], columns[pick]
-    base = gray(curr.color).astype(np.float32)
-    grays = tuple(cv2.GaussianBlur(base, (0, 0), sigma)[rows, columns].astype(np.float32) for sigma in GRAY_BLURS)
-    return Source(geometry.back_project(curr.depth, curr.camera)[rows, columns], grays)
+    def __init__(self, curr: RgbdFrame) -> None:
+        self.valid = curr.valid
+        self.points = geometry.back_project(curr.depth, curr.camera)
+        self.grays = blurred(curr)
+
+    def take(self, mask: NDArray[np.bool_], *, limit: int = 4000) -> Source:
+        """The points of a mask, thinned evenly to at most `limit`.
+
+        Args:
+            mask: (H, W) bool; pixels without depth are left out.
+            limit: refinement needs no more points than this to be as exact as the sensor.
+        """
+        rows, columns = np.nonzero(mask & self.valid)
+        if len(rows) > limit:
+            pick = np.linspace(0, len(rows) - 1, limit).astype(int)
+            rows, columns = rows[pick], columns[pick]
+        return Source(self.points[rows, columns], tuple(image[rows, columns] for image in self.grays))
+
+
+def make_source(curr: RgbdFrame, mask: NDArray[np.bool_], *, limit: int = 4000) -> Source:
+    """`Sources(curr).take(mask)`, where one object is all that is wanted."""
+    return Sources(curr).take(mask, limit=limit)
+
+
+def blurred(frame: RgbdFrame) -> list[Floats]:
+    """(H, W) float32 grey images, one for each of `GRAY_BLURS`."""
+    base = gray(frame.color).astype(np.float32)
+    return [np.asarray(cv2.GaussianBlur(base, (0, 0), sigma), dtype=np.float32) for sigma in GRAY_BLURS]
+
+
+def _with_slopes(image: Floats) -> Floats:
+    """(H, W) -> (H, W, 3): itself, and its slopes along u and v."""
+    slopes = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
 
 
 def refine(
@@ -188,10 +207,11 @@ def refine(
     T = np.array(prev_T_curr, dtype=np.float64)
     if len(source.points) < 6:
         return Refined(T, 0.0, 0.0, float("inf"))
-    for level in range(len(GRAY_BLURS)):
+    places = np.ascontiguousarray(source.points.T, dtype=np.float32)
+    for level, grays in enumerate(source.grays):
         for iteration in range(iterations):
             gate = max(0.03 * 0.7 ** (iteration + 4 * level), 0.008)
-            H, b = _normal_equations(target, source, T, level, gate, color_weight)
+            H, b = _normal_equations(target, target.shades[level], places, grays, T, gate, color_weight)
             if matches is not None and len(matches.curr) >= 3:
                 H_m, b_m = _match_equations(matches, T, target.camera)
                 H, b = H + H_m, b + b_m
@@ -205,51 +225,56 @@ def refine(
 
 
 def _normal_equations(
-    target: Target, source: Source, T: Array, level: int, gate: float, color_weight: float
+    target: Target, shades: Floats, places: Floats, grays: Floats, T: Array, gate: float, color_weight: float
 ) -> tuple[Array, Array]:
-    """The 6x6 system of the depth and the colour terms at T."""
+    """The 6x6 system of the depth and the colour terms at T.
+
+    Args:
+        target: the previous frame.
+        shades: one of its `shades`.
+        places: (3, N) the object's points; coordinates come first here, so that all arithmetic is on long rows.
+        grays: (N,) theirs, as blurred as the shades.
+        T: (4, 4) `prev_T_curr`.
+        gate: metres, beside the sensor's noise; farther away in depth lies another surface, or the object is hidden.
+        color_weight: of the colour term.
+    """
     camera = target.camera
-    points = geometry.transform(T, source.points)
-    pixels, inside, index = _nearest_pixels(points, camera)
-    points, pixels = points[inside], pixels[inside]
-    surface, normal = target.points[index], target.normals[index]
-    offset = points - surface
-    sigma = depth_sigma(points[:, 2])
-    with np.errstate(invalid="ignore"):
-        # The gate opens with the sensor's noise; beyond it lies another surface, or the object is hidden there.
-        usable = np.abs(offset[:, 2]) < gate + 3 * sigma
-        along = (offset * normal).sum(-1)
-        usable &= np.isfinite(along)
-    p, n = points[usable].astype(np.float64), normal[usable].astype(np.float64)
-    r = along[usable] / sigma[usable]
-    weight = _tukey(r)
-    J = np.concatenate([n, _cross(p, n)], axis=1) / sigma[usable, None]
-    H, b = J.T @ (weight[:, None] * J), J.T @ (weight * r)
-    if color_weight > 0 and usable.sum() > 6:
-        g_u, g_v = (_sample(gradient, pixels[usable]) for gradient in target.gradients[level])
-        difference = _sample(target.images[level], pixels[usable]) - source.grays[level][inside][usable]
+    points = T[:3, :3].astype(np.float32) @ places + T[:3, 3, None].astype(np.float32)
+    pixels, index, cell = _pixels_on_image(points, camera)
+    found = target.surface.take(cell, axis=0).T
+    points = points[:, index]
+    offset = points - found[:3]
+    sigma = depth_sigma(points[2])
+    along = (offset * found[3:]).sum(axis=0)
+    used = np.flatnonzero((np.abs(offset[2]) < gate + 3 * sigma) & np.isfinite(along))
+    p, n, sigma = points[:, used].astype(np.float64), found[3:, used].astype(np.float64), sigma[used]
+    r, direction, weight = along[used] / sigma, n / sigma, np.ones(1)
+    if color_weight > 0 and len(used) > 6:
+        u, v = pixels[:, index[used]]
+        shade = cv2.remap(shades, u[None], v[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        there, g_u, g_v = shade[0].T.astype(np.float64)
+        difference = there - grays[index[used]]
         difference -= np.median(difference)  # exposure may have changed between the frames
-        x, y, z = p.T
-        toward = np.stack(
-            [g_u * camera.fx / z, g_v * camera.fy / z, -(g_u * camera.fx * x + g_v * camera.fy * y) / z**2], axis=1
-        )
         noise = max(4.0, 1.4826 * float(np.median(np.abs(difference))))
-        r_c = difference / noise
-        weight = color_weight * _tukey(r_c)
-        J = np.concatenate([toward, _cross(p, toward)], axis=1) / noise
-        H, b = H + J.T @ (weight[:, None] * J), b + J.T @ (weight * r_c)
-    return H, b
+        a, b = g_u * (camera.fx / noise) / p[2], g_v * (camera.fy / noise) / p[2]
+        toward = np.stack([a, b, -(a * p[0] + b * p[1]) / p[2]])
+        r, direction = np.concatenate([r, difference / noise]), np.concatenate([direction, toward], axis=1)
+        p, weight = np.concatenate([p, p], axis=1), np.repeat([1.0, color_weight], len(used))
+    J = np.concatenate([direction, _cross(p, direction)])
+    weighted = J * (weight * _tukey(r))
+    return weighted @ J.T, weighted @ r
 
 
-def _nearest_pixels(
-    points: Floats, camera: Camera
-) -> tuple[Floats, NDArray[np.bool_], tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """(N, 2) where points fall, (N,) which lie on the image, and the rows and columns of those that do."""
-    pixels = geometry.project(points, camera)
-    with np.errstate(invalid="ignore"):
-        column, row = np.rint(pixels[:, 0]), np.rint(pixels[:, 1])
-        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    return pixels, inside, (row[inside].astype(np.intp), column[inside].astype(np.intp))
+def _pixels_on_image(points: Floats, camera: Camera) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]:
+    """(2, N) where points (3, N) fall, which of them lie on the image, and the numbers of those ones' pixels."""
+    x, y, z = points
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        pixels = np.stack([x / z * np.float32(camera.fx), y / z * np.float32(camera.fy)])
+        pixels += np.array([[camera.cx], [camera.cy]], np.float32)
+        column, row = np.rint(pixels)
+        inside = (z > 1e-6) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    index = np.flatnonzero(inside)
+    return pixels, index, row[index].astype(np.intp) * camera.width + column[index].astype(np.intp)
 
 
 def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array, Array]:
@@ -266,40 +291,31 @@ def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array,
 
 def judge(target: Target, source: Source, T: Array) -> Refined:
     """How well a motion explains the points that the previous frame sees; see `Refined`."""
-    camera = target.camera
     points = geometry.transform(T, source.points)
-    _, inside, index = _nearest_pixels(points, camera)
-    offset = points[inside] - target.points[index]
-    sigma = depth_sigma(points[inside, 2])
+    _, index, cell = _pixels_on_image(points.T, target.camera)
+    found, points = target.surface.take(cell, axis=0), points[index]
+    offset = points - found[:, :3]
+    sigma = depth_sigma(points[:, 2])
     seen = np.isfinite(offset[:, 2]) & (offset[:, 2] < 3 * sigma + 0.01)
-    distance = np.abs((offset * target.normals[index]).sum(-1))
+    distance = np.abs((offset * found[:, 3:]).sum(-1))
     distance = np.where(np.isfinite(distance), distance, np.abs(offset[:, 2]))
     good = seen & (distance < 3 * sigma)
     if not good.any():
-        return Refined(T, 0.0, float(seen.sum()) / len(points), float("inf"))
+        return Refined(T, 0.0, float(seen.sum()) / len(source.points), float("inf"))
     return Refined(
         prev_T_curr=T,
         explained=float(good.sum()) / float(seen.sum()),
-        visible=float(seen.sum()) / len(points),
+        visible=float(seen.sum()) / len(source.points),
         depth_error=float(np.sqrt(np.mean(distance[good] ** 2))),
     )
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """(N, 3) x (N, 3): np.cross in a third of the time, for a loop that lives on it."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+    """(3, N) x (3, N): np.cross in a third of the time, for a loop that lives on it."""
+    (x, y, z), (u, v, w) = a, b
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def _tukey(r: NDArray[np.floating]) -> Array:
     scaled = np.asarray(r, dtype=np.float64) / _TUKEY
     return np.where(np.abs(scaled) < 1, (1 - scaled**2) ** 2, 0.0)
-
-
-def _sample(image: NDArray[Any], pixels: Floats) -> Array:
-    """Bilinear values at (N, 2) pixels."""
-    out = cv2.remap(
-        image, pixels[None, :, 0].astype(np.float32), pixels[None, :, 1].astype(np.float32), cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )  # fmt: skip
-    return np.asarray(out[0], dtype=np.float64)

@@ -123,5 +123,5 @@ class RigidMatchEstimator:
         device = next(self.network.parameters()).device
         with torch.inference_mode():
             seen = to_tensors(curr, device)
-            out: RigidOutput = self.network(*to_tensors(prev, device), *seen)
+            out: RigidOutput = self.network(*to_tensors(prev, device), *seen, table=False)
         return out, seen[1]

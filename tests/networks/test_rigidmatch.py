@@ -14,7 +14,7 @@ from torch import Tensor
 
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
-from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean
+from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean, dual_softmax_mean_of_product
 from objectflow.networks.rigidmatch.inputs import Grid, cells, describe, grid
 from objectflow.networks.rigidmatch.matching import GlobalMatching
 from objectflow.networks.rigidmatch.motion import agreement, solve_motions
@@ -115,6 +115,28 @@ def test_dual_softmax_is_that_of_its_definition_with_the_true_gradient() -> None
     with torch.no_grad():
         torch.testing.assert_close(dual_softmax_mean(scores, hidden, values)[0], sums)
     assert torch.autograd.gradcheck(dual_softmax_mean, (scores, hidden, values))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("cells", [5, 128, 300])
+def test_without_a_table_the_dual_softmax_is_the_same(cells: int) -> None:
+    rng = generator(2)
+    left, right = (torch.randn(2, n, 9, dtype=torch.float64, generator=rng) for n in (cells, 70))
+    hidden = torch.randn(2, cells, dtype=torch.float64, generator=rng)
+    values = torch.randn(2, 70, 3, dtype=torch.float64, generator=rng)
+    whole = dual_softmax_mean(left @ right.mT, hidden, values)
+    for one, other in zip(dual_softmax_mean_of_product(left, right, hidden, values), whole, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+@torch.no_grad()
+def test_the_network_says_the_same_without_the_table() -> None:
+    made, seen = RigidMatch(TINY_RIGID, generator=generator()).eval(), images(48, 64)
+    whole, spared = made(*seen), made(*seen, table=False)
+    assert spared.scores.numel() == 0
+    for name, one in spared._asdict().items():
+        if name != "scores":
+            torch.testing.assert_close(one, getattr(whole, name), atol=1e-4, rtol=1e-4)
 
 
 def test_barred_cells_and_large_logits_keep_everything_finite() -> None:

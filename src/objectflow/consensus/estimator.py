@@ -96,7 +96,7 @@ class Consensus:
         # 1. Match the frames and lift the matches by depth.
         prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
         matches = correspondence.find_matches(prev_m, curr_m)
-        target = rigid.Target(prev_m)
+        target, sources = rigid.Target(prev_m), rigid.Sources(curr_m)
         # 2. The background first: what moves is what does not follow it.
         camera_motion = background_motion(matches, target, curr_m, camera=self.camera, rng=rng)
         background = np.eye(4) if camera_motion is None else camera_motion
@@ -115,10 +115,10 @@ class Consensus:
         masks: list[Mask] = []
         for number in range(self.rounds):
             fine = number + 1 == self.rounds
-            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, curr_m, movers, fine=fine)
+            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, sources, curr_m, movers, fine=fine)
             if not fine:
                 motions = [h.prev_T_curr for h in hypotheses]
-                more = seek(stage, masks, motions, target, curr_m, movers)
+                more = seek(stage, masks, motions, target, sources, curr_m, movers)
                 hypotheses += [Hypothesis(f.prev_T_curr, stage.points[f.mask], f.matches, f.mask) for f in more]
         # 5. Keep what stands: objects that moved, and regions that no motion explains.
         labels_s, objects = verdict.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
@@ -136,6 +136,7 @@ class Consensus:
         stage: Stage,
         hypotheses: list[Hypothesis],
         target: rigid.Target,
+        sources: rigid.Sources,
         curr: RgbdFrame,
         movers: Matches,
         *,
@@ -152,7 +153,7 @@ class Consensus:
         for label, mask in stage.split(labels):
             start = motions[label - 1]
             own = movers[inside(mask, movers, curr.camera)]
-            source = rigid.make_source(curr, enlarge(mask, curr), limit=2000)
+            source = sources.take(enlarge(mask, curr), limit=2000)
             if len(own.curr) >= 6:
                 start = _better_start(start, own, curr)
             motion = rigid.refine(target, source, start, matches=own).prev_T_curr

@@ -41,7 +41,13 @@ class Found(NamedTuple):
 
 
 def seek(
-    stage: Stage, masks: list[Mask], motions: list[Array], target: rigid.Target, curr: RgbdFrame, movers: Matches
+    stage: Stage,
+    masks: list[Mask],
+    motions: list[Array],
+    target: rigid.Target,
+    sources: rigid.Sources,
+    curr: RgbdFrame,
+    movers: Matches,
 ) -> list[Found]:
     """Motions of regions that neither the background nor any known motion explains.
 
@@ -50,7 +56,8 @@ def seek(
         masks: of the objects known so far.
         motions: `prev_T_curr` of each.
         target: the previous frame for `rigid`.
-        curr: the current frame at the target's size.
+        sources: the current frame for it.
+        curr: the same frame, at the target's size.
         movers: matches that do not follow the background.
     """
     claimed = np.zeros(stage.valid.shape, bool)
@@ -71,7 +78,7 @@ def seek(
         wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & stage.valid
         own = movers[inside(wide, movers, curr.camera)]
         box = stage.around(stage.points[region & stage.valid])
-        source = rigid.make_source(curr, enlarge(wide, curr), limit=1000)
+        source = sources.take(enlarge(wide, curr), limit=1000)
         best = _align(stage, region, target, source, own, _starts(stage, region, own, vanished))
         if best is None:
             continue

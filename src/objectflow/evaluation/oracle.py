@@ -57,7 +57,7 @@ class OracleMasks:
         prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
         labels_m = _narrow_labels(self.labels, curr_m.depth.shape)
         along_flow, features = _flow_matches(prev_m, curr_m), correspondence.feature_matches(prev_m, curr_m)
-        target = rigid.Target(prev_m)
+        target, sources = rigid.Target(prev_m), rigid.Sources(curr_m)
         # 2. The background from what is background in truth.
         rng = np.random.default_rng(self.seed)
         behind = _only(curr_m, labels_m == 0)
@@ -71,7 +71,7 @@ class OracleMasks:
         objects = []
         for label in np.unique(self.labels[self.labels > 0]).tolist():
             mask, mask_m = self.labels == label, labels_m == label
-            source = rigid.make_source(curr_m, mask_m)
+            source = sources.take(mask_m)
             found = _fit(target, source, _inside(along_flow, mask_m), _inside(features, mask_m), background)
             seen = points[mask & curr.valid].astype(np.float64)
             objects.append(_describe(label, int(mask.sum()), found, seen, background))

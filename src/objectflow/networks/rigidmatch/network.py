@@ -82,17 +82,26 @@ class RigidMatch(nn.Module):
             self.regress = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 6))
         _initialise(self, generator)
 
-    def forward(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> RigidOutput:
+    def forward(
+        self,
+        prev_color: Tensor,
+        prev_points: Tensor,
+        curr_color: Tensor,
+        curr_points: Tensor,
+        *,
+        table: bool = True,
+    ) -> RigidOutput:
         """Predict objects and their motions from the current back to the previous frame.
 
         Args:
             prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
+            table: give the table of all pairs' scores, which losses need; without it there is no gradient.
 
         Returns:
             Everything, on the grids of images padded to a multiple of the coarsest stride.
         """
-        found = self.look(prev_color, prev_points, curr_color, curr_points)
+        found = self.look(prev_color, prev_points, curr_color, curr_points, table=table)
         # 6. The motions that fit the matches.
         rotation, translation = self._motions(found)
         return RigidOutput(
@@ -117,7 +126,15 @@ class RigidMatch(nn.Module):
             upsampling=found.scene.upsampling,
         )
 
-    def look(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> Found:
+    def look(
+        self,
+        prev_color: Tensor,
+        prev_points: Tensor,
+        curr_color: Tensor,
+        curr_points: Tensor,
+        *,
+        table: bool = True,
+    ) -> Found:
         """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
         # 1. Both frames through one encoder.
@@ -133,7 +150,7 @@ class RigidMatch(nn.Module):
         if self.place is not None:
             tokens = self.attention(tokens, self.place(_where(coarse_grid)), size)
         # 3. Everything is matched with everything; then each match in a small window.
-        matched = self.matching(tokens, curr, prev)
+        matched = self.matching(tokens, curr, prev, table=table)
         maps = as_map(tokens, size)
         refined = self.refinement(fine, maps, matched, curr_fine, prev_fine)
         # 4. What that means, cell by cell.

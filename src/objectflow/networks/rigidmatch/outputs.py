@@ -13,7 +13,8 @@ class RigidOutput(NamedTuple):
     Cell (i, j) stands for pixel (s i, s j) of its stride s. All in float32.
 
     Attributes:
-        scores: (B, N, N) logits of "the previous cell (last) is this current cell's match".
+        scores: (B, N, N) logits of "the previous cell (last) is this current cell's match"; (B, 0, 0) where no
+            table was wanted.
         hidden: (B, N) logits of "the previous frame does not show it", beside those of the cells.
         rows, columns: (B, N) logarithms of the sums of the scores' exponentials, over rows with `hidden`.
         coarse_match: (B, 3, h, w) metres: where each cell's point was in the previous frame, camera frame.
