@@ -12,7 +12,9 @@ from torch import Tensor
 
 from objectflow import geometry
 from objectflow.averaging import average_motions
+from objectflow.consensus.sharpen import sharpen
 from objectflow.errors import MethodError
+from objectflow.frame import RgbdFrame
 from objectflow.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.outputs import DenseMotion, scene_flow
@@ -136,6 +138,24 @@ def nearest(source: tuple[int, ...], size: tuple[int, ...]) -> tuple[NDArray[np.
     rows = np.minimum(((np.arange(height) + 0.5) * h / height).astype(np.intp), h - 1)
     columns = np.minimum(((np.arange(width) + 0.5) * w / width).astype(np.intp), w - 1)
     return rows, columns
+
+
+def follow_edges(labels: Labels, small: RgbdFrame, full: RgbdFrame) -> Labels:
+    """Let labels that were found on a smaller image end where depth and colour of the full one do.
+
+    Args:
+        labels: (H, W) int32 on `full`, each pixel as the nearest of `small` has it.
+        small: the frame that they were found on.
+        full: the frame itself.
+
+    Returns:
+        (H, W) int32. Pixels without depth keep their label, and so do all where `small` is no smaller.
+    """
+    if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
+        return labels
+    rows, columns = nearest(labels.shape, small.depth.shape)
+    sharp = sharpen(labels[rows[:, None], columns], small, full)
+    return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
 def _array(one: Tensor) -> NDArray[Any]:

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow import geometry
@@ -16,10 +18,10 @@ from objectflow.errors import MethodError
 from objectflow.estimator import check_camera_option
 from objectflow.find_weights import find_weights
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.instances import keep_seen, nearest, rigid_flow
+from objectflow.instances import follow_edges, keep_seen, nearest, rigid_flow
 from objectflow.joining import join_pieces
 from objectflow.learned import resize_to, to_tensors, trained_size
-from objectflow.motion import SceneMotion
+from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.motion_search import search_motions
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
 from objectflow.networks.weights import load_network
@@ -31,6 +33,7 @@ from objectflow.scoring import score_movers
 from objectflow.witness import Witness
 
 Rigid = Literal["none", "solve", "refine"]
+Labels = NDArray[np.int32]
 
 SURE = 0.3
 """Least probability of an object that stands still. What moves gives itself away in other ways, and needs less."""
@@ -96,15 +99,12 @@ class RigidMatchEstimator:
         # 3. The input's own pixels.
         rows, columns = nearest(labels_s.shape, curr.depth.shape)
         labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
-        # 4. Motions, and the flow that they make.
+        # 4. Motions that the frames bear out, objects that the network missed, and borders.
         if self.rigid == "refine":
-            witness = Witness(prev, curr, labels)
-            objects = bring_to_rest(witness, refine_objects(prev, curr, labels, objects))
-            objects = search_motions(prev, curr, witness, objects)
-            labels, objects = join_pieces(witness, labels, objects)
-            labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
-            labels, objects = find_overlooked(prev, curr, witness, labels, objects)
-            objects = score_movers(witness, objects)
+            labels, objects = settle(prev, curr, curr_s, labels, objects)
+        else:
+            labels, objects = keep_seen(follow_edges(labels, curr_s, curr), objects)
+        # 5. The flow that they make.
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)
@@ -125,3 +125,28 @@ class RigidMatchEstimator:
             seen = to_tensors(curr, device)
             out: RigidOutput = self.network(*to_tensors(prev, device), *seen, table=False)
         return out, seen[1]
+
+
+def settle(
+    prev: RgbdFrame, curr: RgbdFrame, curr_s: RgbdFrame, labels: Labels, objects: tuple[ObjectMotion, ...]
+) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+    """What the network said, set right by what the frames show.
+
+    Args:
+        prev, curr: the frames, of a camera that stands still.
+        curr_s: the current one as the network saw it.
+        labels: (H, W) int32 on the input's pixels.
+        objects: with the network's motions.
+
+    Returns:
+        Labels and objects, numbered anew from 1.
+    """
+    witness = Witness(prev, curr, labels)
+    objects = bring_to_rest(witness, refine_objects(prev, curr, labels, objects))
+    objects = search_motions(prev, curr, witness, objects)
+    labels, objects = join_pieces(witness, labels, objects)
+    # Only now: a mask that ends a little inside its object makes the better motion.
+    labels = follow_edges(labels, curr_s, curr)
+    labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
+    labels, objects = find_overlooked(prev, curr, witness, labels, objects)
+    return labels, score_movers(witness, objects)
