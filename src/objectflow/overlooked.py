@@ -29,7 +29,7 @@ CHANGED = 1.5
 LEAST_SHARE = 0.002
 """Of the image: changed regions of fewer pixels are not looked into, nor smaller objects added."""
 RIM = 2
-"""Pixels of the input around an object that are its own: masks end a little off the edge."""
+"""Pixels of the witness around an object that are its own: masks end a little off the edge."""
 EXPLAINED = 0.3
 """Least score of what is added; `consensus` gives less to regions that no motion explains."""
 REACH = 7
@@ -56,7 +56,7 @@ def find_overlooked(
     Returns:
         Labels and objects, numbered anew from 1.
     """
-    known = _spread(labels > 0, RIM)
+    known = _spread(labels > 0, max(1, round(RIM * labels.shape[1] / witness.labels.shape[1])))
     witness.show(labels)
     if not _has_changed(witness, known):
         return labels, objects
