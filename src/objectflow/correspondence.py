@@ -103,13 +103,14 @@ def sample_depth(depth: Floats, pixels: Floats) -> tuple[Floats, NDArray[np.bool
     with np.errstate(invalid="ignore"):
         inside = (pixels[:, 0] >= 0) & (pixels[:, 1] >= 0) & (pixels[:, 0] <= width - 1) & (pixels[:, 1] <= height - 1)
     u, v = np.where(inside, pixels[:, 0], 0), np.where(inside, pixels[:, 1], 0)
-    u0, v0 = np.minimum(u.astype(int), width - 2), np.minimum(v.astype(int), height - 2)
-    du, dv = u - u0, v - v0
-    corners = np.stack([depth[v0, u0], depth[v0, u0 + 1], depth[v0 + 1, u0], depth[v0 + 1, u0 + 1]], axis=1)
-    weights = np.stack([(1 - du) * (1 - dv), du * (1 - dv), (1 - du) * dv, du * dv], axis=1)
-    low, high = corners.min(1), corners.max(1)
+    u0, v0 = np.minimum(u.astype(np.int32), width - 2), np.minimum(v.astype(np.int32), height - 2)
+    du, dv = (u - u0).astype(np.float32), (v - v0).astype(np.float32)
+    first, values = v0 * width + u0, np.ascontiguousarray(depth).ravel()
+    a, b, c, d = (values.take(first + step, mode="clip") for step in (0, 1, width, width + 1))
+    low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
     ok = inside & (low > 0) & (high - low < 0.02 * high + 0.005)
-    return (corners * weights).sum(1).astype(np.float32), ok
+    top, bottom = a + (b - a) * du, c + (d - c) * du
+    return (top + (bottom - top) * dv).astype(np.float32), ok
 
 
 def flow_matches(

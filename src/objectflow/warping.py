@@ -12,6 +12,8 @@ from objectflow import correspondence, geometry
 from objectflow.errors import GeometryError
 from objectflow.frame import Camera, RgbdFrame
 
+_NOTHING = np.uint64(2**64 - 1)
+
 
 @dataclass(frozen=True, eq=False)
 class Warped:
@@ -81,16 +83,16 @@ def splat(
     if points.shape != color.shape or points.ndim < 2 or points.shape[-1] != 3:
         raise GeometryError(f"splat needs points and colours of one shape (..., 3), not {points.shape}, {color.shape}")
     flat = points.reshape(-1, 3).astype(np.float64)
-    pixels = geometry.project(flat, camera)
+    column, row = np.floor(geometry.project(flat, camera) + 0.5).T
     with np.errstate(invalid="ignore"):
-        inside = (pixels >= -0.5).all(1) & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(1)
-    keep = np.flatnonzero(inside)
-    column, row = np.floor(pixels[keep] + 0.5).astype(int).T
-    target = row * camera.width + column
-    # Sorted by pixel, then by depth: the first of each pixel is its nearest.
-    order = np.lexsort((flat[keep, 2], target))
-    filled, first = np.unique(target[order], return_index=True)
-    nearest = keep[order[first]]
+        keep = np.flatnonzero((column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height))
+    target = row[keep].astype(np.int64) * camera.width + column[keep].astype(np.int64)
+    # A buffer of depth and point in one number: bits of positive floats are in the order of the floats.
+    near = flat[keep, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
+    buffer = np.full(camera.height * camera.width, _NOTHING)
+    np.minimum.at(buffer, target, near | keep.astype(np.uint64))
+    filled = np.flatnonzero(buffer != _NOTHING)
+    nearest = (buffer[filled] & np.uint64(0xFFFFFFFF)).astype(np.intp)
     image = np.zeros((camera.height * camera.width, 3), np.uint8)
     depth = np.zeros(camera.height * camera.width, np.float32)
     image[filled] = color.reshape(-1, 3)[nearest]
@@ -100,8 +102,10 @@ def splat(
 
 def _bilinear(image: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W, C) at pixels (N, 2) as (u, v) that lie between pixel centres -> (N, C) float32."""
-    low = np.minimum(np.floor(pixels).astype(int), [image.shape[1] - 2, image.shape[0] - 2])
-    (u, v), (du, dv) = low.T, (pixels - low).T[..., None]
-    top = image[v, u] * (1 - du) + image[v, u + 1] * du
-    bottom = image[v + 1, u] * (1 - du) + image[v + 1, u + 1] * du
-    return np.asarray(top * (1 - dv) + bottom * dv, dtype=np.float32)
+    height, width, channels = image.shape
+    low = np.minimum(np.floor(pixels), np.array([width - 2, height - 2], np.float32))
+    du, dv = (pixels - low).T[..., None]
+    first, values = low[:, 1].astype(np.int64) * width + low[:, 0].astype(np.int64), image.reshape(-1, channels)
+    a, b, c, d = (values.take(first + step, axis=0).astype(np.float32) for step in (0, 1, width, width + 1))
+    top, bottom = a + (b - a) * du, c + (d - c) * du
+    return np.asarray(top + (bottom - top) * dv, dtype=np.float32)
