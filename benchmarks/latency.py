@@ -98,7 +98,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
 
     import analytic
     import objectflow
-    from objectflow import find_weights, geometry, instances, refining
+    from objectflow import find_weights, geometry, instances, readied, refining
     from objectflow.errors import MethodError
     from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet
     from objectflow.networks.weights import save_weights
@@ -158,7 +158,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats))  # noqa: B023
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats, time.process_time))  # noqa: B023
         parts.append(
-            fastest(lambda: refining.refine_objects(prev, curr, labels, objects), settings.repeats)  # noqa: B023
+            fastest(lambda: refining.refine_objects(readied.Readied(prev, curr), labels, objects), settings.repeats)  # noqa: B023
         )
         rows.append(parts)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 import objectflow
 from objectflow import geometry
 from objectflow.moving_camera import MovingCamera, find_camera_motion
+from objectflow.readied import Readied
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
@@ -85,7 +86,7 @@ def error(flow: NDArray[np.float32], pair: analytic.AnalyticPair) -> float:
 
 def camera_error(pair: analytic.AnalyticPair, motion: Array) -> tuple[float, float]:
     """Metres and degrees between the camera's motion as found and as it was."""
-    found = find_camera_motion(pair.prev, pair.curr, camera="moving")
+    found = find_camera_motion(Readied(pair.prev, pair.curr), camera="moving")
     off = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
     return float(np.linalg.norm(off[:3, 3])), float(np.degrees(geometry.rotation_angle(off[:3, :3])))
 

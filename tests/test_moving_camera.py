@@ -15,6 +15,7 @@ from objectflow.baselines.dense_flow import DenseFlow
 from objectflow.errors import FrameError, MethodError
 from objectflow.frame import Camera, RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.readied import Readied
 
 
 def camera_motion(degrees: tuple[float, float, float], centimetres: tuple[float, float, float]) -> NDArray[np.float64]:
@@ -118,6 +119,21 @@ def test_a_still_camera_is_left_alone() -> None:
         motion = moving_camera.MovingCamera(truth, camera=camera)(pair.prev, pair.curr)
         assert truth.shown is pair.prev
         assert motion.camera_motion is None
+
+
+def test_what_was_made_ready_to_find_the_camera_is_handed_on() -> None:
+    class Thrifty(Truth):
+        def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+            self.ready = ready
+            return self(prev, curr)
+
+    pair = analytic.make_scene(5)
+    thrifty = Thrifty(pair)
+    motion = moving_camera.MovingCamera(thrifty)(pair.prev, pair.curr)
+    assert {"matches", "target"} <= thrifty.ready.__dict__.keys()  # made, not to be made again
+    assert (thrifty.ready.prev, thrifty.ready.curr) == (pair.prev, pair.curr)
+    assert motion.seconds is not None
+    assert motion.seconds > 0
 
 
 def test_flow_of_a_moving_camera_is_better_with_compensation() -> None:

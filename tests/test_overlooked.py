@@ -17,6 +17,7 @@ from objectflow.consensus.stage import HIDDEN_BY_KNOWN, Stage
 from objectflow.frame import Camera, RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.overlooked import find_overlooked
+from objectflow.readied import Readied
 from objectflow.witness import Witness
 
 Labels = NDArray[np.int32]
@@ -43,7 +44,7 @@ def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
 
 
 def look(pair: analytic.AnalyticPair, labels: Labels, objects: Objects) -> tuple[Labels, Objects]:
-    return find_overlooked(pair.prev, pair.curr, Witness(pair.prev, pair.curr, labels), labels, objects)
+    return find_overlooked(Readied(pair.prev, pair.curr), Witness(pair.prev, pair.curr, labels), labels, objects)
 
 
 def clear_mover(pair: analytic.AnalyticPair, objects: Objects) -> ObjectMotion:
@@ -132,12 +133,12 @@ def test_consensus_leaves_alone_what_is_known() -> None:
     known = pair.labels == clear_mover(pair, true_objects(pair)).id
     free, bound = (
         Consensus(camera="static")(pair.prev, pair.curr),
-        Consensus(camera="static").find(pair.prev, pair.curr, known=known),
+        Consensus(camera="static").find(Readied(pair.prev, pair.curr), known=known),
     )
     assert max(overlap(free.labels == obj.id, known) for obj in free.objects) > 0.8
     assert not bound.labels[known].any()
     assert all(overlap(bound.labels == obj.id, known) < 0.1 for obj in bound.objects)
-    assert not Consensus(camera="static").find(pair.prev, pair.curr, known=np.ones_like(known)).objects
+    assert not Consensus(camera="static").find(Readied(pair.prev, pair.curr), known=np.ones_like(known)).objects
 
 
 def test_what_a_known_mover_hid_may_be_background() -> None:

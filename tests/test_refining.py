@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 import analytic
 from objectflow import geometry, rigid
 from objectflow.motion import ObjectMotion
+from objectflow.readied import Readied
 from objectflow.refining import depth_cost, refine_objects, refine_one
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ def test_wrong_motions_are_put_right(metres: float, degrees: float, share: float
     for seed in range(51, 54):
         pair = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015)
         start = tuple(disturbed(obj, metres, degrees, rng) for obj in true_objects(pair))
-        for old, new in zip(start, refine_objects(pair.prev, pair.curr, pair.labels, start), strict=True):
+        for old, new in zip(start, refine_objects(Readied(pair.prev, pair.curr), pair.labels, start), strict=True):
             assert (new.id, new.pixels, new.score) == (old.id, old.pixels, old.score)
             np.testing.assert_array_equal(new.center, old.center)
             before.append(error(pair, old))
@@ -63,7 +64,7 @@ def test_wrong_motions_are_put_right(metres: float, degrees: float, share: float
 def test_wide_frames_are_refined_too() -> None:
     pair = analytic.make_scene(51, objects=(2, 2), width=800, height=600)
     start = tuple(disturbed(obj, 0.01, 5, np.random.default_rng(1)) for obj in true_objects(pair))
-    for new in refine_objects(pair.prev, pair.curr, pair.labels, start):
+    for new in refine_objects(Readied(pair.prev, pair.curr), pair.labels, start):
         assert error(pair, new) < 0.001
 
 
@@ -73,7 +74,7 @@ def test_no_object_explains_the_depth_worse_than_before() -> None:
     target = rigid.Target(pair.prev)
     for metres, degrees in ((0.0, 1e-9), (0.03, 30), (0.3, 90)):
         start = tuple(disturbed(obj, metres, degrees, rng) for obj in true_objects(pair))
-        for old, new in zip(start, refine_objects(pair.prev, pair.curr, pair.labels, start), strict=True):
+        for old, new in zip(start, refine_objects(Readied(pair.prev, pair.curr), pair.labels, start), strict=True):
             source = rigid.make_source(pair.curr, pair.labels == old.id, limit=2000)
             costs = [depth_cost(rigid.judge(target, source, obj.prev_T_curr), source) for obj in (old, new)]
             assert costs[1] <= costs[0]
@@ -118,9 +119,9 @@ def test_depth_cost_is_the_truncated_mean_square() -> None:
 
 def test_nothing_to_refine_stays_as_it_is() -> None:
     pair = analytic.make_scene(1, width=80, height=60)
-    assert refine_objects(pair.prev, pair.curr, pair.labels, ()) == ()
+    assert refine_objects(Readied(pair.prev, pair.curr), pair.labels, ()) == ()
     obj = dataclasses.replace(true_objects(pair)[0], id=40)
-    (kept,) = refine_objects(pair.prev, pair.curr, pair.labels, (obj,))
+    (kept,) = refine_objects(Readied(pair.prev, pair.curr), pair.labels, (obj,))
     np.testing.assert_array_equal(kept.prev_T_curr, obj.prev_T_curr)
     nothing = rigid.make_source(pair.curr, np.zeros((60, 80), bool))
     np.testing.assert_array_equal(refine_one(rigid.Target(pair.prev), nothing, [np.eye(4)]), np.eye(4))
@@ -129,4 +130,4 @@ def test_nothing_to_refine_stays_as_it_is() -> None:
 def test_what_stands_still_after_all_is_said_to() -> None:
     pair = analytic.make_scene(52, objects=(2, 2), moving_share=0.0)
     start = tuple(disturbed(obj, 0.01, 5, np.random.default_rng(3)) for obj in true_objects(pair))
-    assert [obj.moving for obj in refine_objects(pair.prev, pair.curr, pair.labels, start)] == [False, False]
+    assert [obj.moving for obj in refine_objects(Readied(pair.prev, pair.curr), pair.labels, start)] == [False, False]

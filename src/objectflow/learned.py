@@ -23,6 +23,7 @@ from objectflow.motion import SceneMotion
 from objectflow.networks.outputs import DenseMotion
 from objectflow.networks.sceneflownet import SceneFlowNet
 from objectflow.networks.weights import load_weights
+from objectflow.readied import Readied
 from objectflow.refining import refine_objects
 
 Rigid = Literal["none", "average", "refine"]
@@ -79,6 +80,10 @@ class SceneFlowEstimator:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
+        return self.estimate(prev, curr, Readied(prev, curr))
+
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+        """The same with the frames made ready for alignment by whoever needed them before."""
         start = time.perf_counter()
         check_pair(prev, curr)
         # 1. Dense maps, at the size that the network knows.
@@ -92,7 +97,7 @@ class SceneFlowEstimator:
         labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
         # 4. Motions, and the flow that they make.
         if self.rigid == "refine":
-            objects = refine_objects(prev, curr, labels, objects)
+            objects = refine_objects(ready, labels, objects)
         points = geometry.back_project(curr.depth, curr.camera)
         flow = pixel_flow(maps, labels, points) if self.rigid == "none" else rigid_flow(objects, labels, points)
         return SceneMotion(

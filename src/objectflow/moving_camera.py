@@ -16,19 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from objectflow import correspondence, geometry, rigid, warping
+from objectflow import geometry, warping
 from objectflow.averaging import STILL, moves
 from objectflow.consensus.background import background_motion
 from objectflow.estimator import Estimator, check_camera_option
 from objectflow.frame import Camera, RgbdFrame, check_pair
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.noise import depth_sigma
+from objectflow.readied import Readied, TakesReadied
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 
-MATCH_WIDTH = 640
-"""Pixels; wider images are matched at this width."""
 SCALE_ERROR = 0.1
 """Of the way that the camera went past an object: a depth camera's scale is off by some percent, and what that makes
 of the camera's own motion is no object's motion."""
@@ -62,9 +61,11 @@ class MovingCamera:
         """See `Estimator`. `camera_motion` is set where the camera was found to move."""
         start = time.perf_counter()
         check_pair(prev, curr)
-        prev_T_curr = find_camera_motion(prev, curr, camera=self.camera, seed=self.seed)
+        ready = Readied(prev, curr)
+        prev_T_curr = find_camera_motion(ready, camera=self.camera, seed=self.seed)
         if prev_T_curr is None:
-            return self.estimator(prev, curr)
+            still = _call(self.estimator, prev, curr, ready)
+            return dataclasses.replace(still, seconds=time.perf_counter() - start)
         seen = as_seen_from(prev, prev_T_curr, curr.camera)
         if seen is None:
             # Nothing of the previous frame lies in the current view: all that can be told is how the camera moved.
@@ -77,20 +78,23 @@ class MovingCamera:
         return dataclasses.replace(still, seconds=time.perf_counter() - start)
 
 
-def find_camera_motion(prev: RgbdFrame, curr: RgbdFrame, *, camera: str = "auto", seed: int = 0) -> Array | None:
+def _call(estimator: Estimator, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+    """The estimator's answer, sooner where it can use what is ready."""
+    return estimator.estimate(prev, curr, ready) if isinstance(estimator, TakesReadied) else estimator(prev, curr)
+
+
+def find_camera_motion(ready: Readied, *, camera: str = "auto", seed: int = 0) -> Array | None:
     """`prev_T_curr` of the static background.
 
     Args:
-        prev, curr: the frames.
+        ready: the frames.
         camera: "moving" always answers, "auto" answers None unless the motion stands out, "static" is None.
         seed: of the random minimal sets.
     """
     if camera == "static":
         return None
-    prev_m, curr_m = prev.narrowed(MATCH_WIDTH), curr.narrowed(MATCH_WIDTH)
-    matches = correspondence.find_matches(prev_m, curr_m)
     rng = np.random.default_rng(seed)
-    return background_motion(matches, rigid.Target(prev_m), curr_m, camera=camera, rng=rng)
+    return background_motion(ready.matches, ready.target, ready.curr_m, camera=camera, rng=rng)
 
 
 def as_seen_from(prev: RgbdFrame, prev_T_curr: Array, camera: Camera) -> RgbdFrame | None:

@@ -16,9 +16,9 @@ from scipy import ndimage
 from objectflow import geometry
 from objectflow.consensus.cost import motion_cost
 from objectflow.consensus.estimator import Consensus
-from objectflow.frame import RgbdFrame
 from objectflow.instances import keep_seen
 from objectflow.motion import ObjectMotion
+from objectflow.readied import Readied
 from objectflow.witness import Witness
 
 Labels = NDArray[np.int32]
@@ -43,12 +43,12 @@ SMALL, SMALL_ALONG = 0.25, 0.5
 
 
 def find_overlooked(
-    prev: RgbdFrame, curr: RgbdFrame, witness: Witness, labels: Labels, objects: tuple[ObjectMotion, ...]
+    ready: Readied, witness: Witness, labels: Labels, objects: tuple[ObjectMotion, ...]
 ) -> tuple[Labels, tuple[ObjectMotion, ...]]:
     """Add moving objects that lie beside the known ones, and to the known ones the pieces that follow their motion.
 
     Args:
-        prev, curr: the frames, before a camera that stands still.
+        ready: the frames, before a camera that stands still.
         witness: the same frames; its labels follow.
         labels: (H, W) int32 on the input's pixels.
         objects: of these labels.
@@ -61,9 +61,7 @@ def find_overlooked(
     if not _has_changed(witness, known):
         return labels, objects
     others = [(obj.prev_T_curr, labels == obj.id) for obj in objects if obj.moving]
-    more = Consensus(camera="static", rounds=2, min_object_share=LEAST_SHARE).find(
-        prev, curr, known=known, others=others
-    )
+    more = Consensus(camera="static", rounds=2, min_object_share=LEAST_SHARE).find(ready, known=known, others=others)
     first = max((obj.id for obj in objects), default=0)
     added = tuple(dataclasses.replace(obj, id=first + obj.id) for obj in more.objects if obj.score >= EXPLAINED)
     kept = np.isin(more.labels, [obj.id - first for obj in added])

@@ -7,17 +7,15 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import correspondence, geometry, rigid
+from objectflow import geometry, rigid
 from objectflow.averaging import moves
-from objectflow.frame import RgbdFrame
 from objectflow.instances import nearest
 from objectflow.motion import ObjectMotion
 from objectflow.noise import depth_sigma
+from objectflow.readied import Readied
 
 Array = NDArray[np.float64]
 
-WIDTH = 640
-"""Pixels: wider frames are narrowed to it first. More adds time, no exactness that the depth would bear."""
 POINTS = 2000
 """Of each object at most, spread evenly."""
 FEWEST_MATCHES = 6
@@ -29,7 +27,7 @@ NEAR, NEAR_TURN = 0.01, np.radians(5)
 
 
 def refine_objects(
-    prev: RgbdFrame, curr: RgbdFrame, labels: NDArray[np.int32], objects: tuple[ObjectMotion, ...]
+    ready: Readied, labels: NDArray[np.int32], objects: tuple[ObjectMotion, ...]
 ) -> tuple[ObjectMotion, ...]:
     """Refine each object's motion by `rigid.refine`, from where it stands and from what image matches in its mask say.
 
@@ -38,8 +36,8 @@ def refine_objects(
     surfaces, one that is wrong by centimetres finds some other one to lie on.
 
     Args:
-        prev, curr: the frames, of one size.
-        labels: (H, W) int32 on their pixels.
+        ready: the frames.
+        labels: (H, W) int32 on the current one's pixels, before it was narrowed.
         objects: with the motions to start from.
 
     Returns:
@@ -47,23 +45,19 @@ def refine_objects(
     """
     if not objects:
         return ()
-    if curr.camera.width > WIDTH:
-        height = max(1, round(curr.camera.height * WIDTH / curr.camera.width))
-        rows, columns = nearest(labels.shape, (height, WIDTH))
-        labels = labels[rows[:, None], columns]
-        prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
-    target, sources = rigid.Target(prev), rigid.Sources(curr)
-    matches = correspondence.find_matches(prev, curr)
+    matches, camera = ready.matches, ready.curr_m.camera
+    rows, columns = nearest(labels.shape, (camera.height, camera.width))
+    labels = labels[rows[:, None], columns]
     column, row = np.rint(matches.pixels).astype(np.intp).T
     owner = labels[np.clip(row, 0, labels.shape[0] - 1), np.clip(column, 0, labels.shape[1] - 1)]
     out = []
     for obj in objects:
-        source = sources.take(labels == obj.id, limit=POINTS)
+        source = ready.sources.take(labels == obj.id, limit=POINTS)
         starts = [obj.prev_T_curr]
         own = matches[owner == obj.id]
         if len(own.curr) >= FEWEST_MATCHES:
-            starts.append(rigid.fit_matches(own, curr.camera)[0])
-        motion = refine_one(target, source, starts)
+            starts.append(rigid.fit_matches(own, camera)[0])
+        motion = refine_one(ready.target, source, starts)
         refined = dataclasses.replace(obj, prev_T_curr=motion)
         out.append(dataclasses.replace(refined, moving=bool(moves(motion[:3, :3], refined.translation))))
     return tuple(out)

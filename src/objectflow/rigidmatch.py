@@ -26,6 +26,7 @@ from objectflow.motion_search import search_motions
 from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
 from objectflow.networks.weights import load_network
 from objectflow.overlooked import find_overlooked
+from objectflow.readied import Readied
 from objectflow.refining import refine_objects
 from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
@@ -87,6 +88,10 @@ class RigidMatchEstimator:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
+        return self.estimate(prev, curr, Readied(prev, curr))
+
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+        """The same with the frames made ready for alignment by whoever needed them before."""
         start = time.perf_counter()
         check_pair(prev, curr)
         # 1. The network, at the size that it knows.
@@ -101,7 +106,7 @@ class RigidMatchEstimator:
         labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
         # 4. Motions that the frames bear out, objects that the network missed, and borders.
         if self.rigid == "refine":
-            labels, objects = settle(prev, curr, curr_s, labels, objects)
+            labels, objects = settle(ready, curr_s, labels, objects)
         else:
             labels, objects = keep_seen(follow_edges(labels, curr_s, curr), objects)
         # 5. The flow that they make.
@@ -128,25 +133,25 @@ class RigidMatchEstimator:
 
 
 def settle(
-    prev: RgbdFrame, curr: RgbdFrame, curr_s: RgbdFrame, labels: Labels, objects: tuple[ObjectMotion, ...]
+    ready: Readied, curr_s: RgbdFrame, labels: Labels, objects: tuple[ObjectMotion, ...]
 ) -> tuple[Labels, tuple[ObjectMotion, ...]]:
     """What the network said, set right by what the frames show.
 
     Args:
-        prev, curr: the frames, of a camera that stands still.
+        ready: the frames, of a camera that stands still.
         curr_s: the current one as the network saw it.
-        labels: (H, W) int32 on the input's pixels.
+        labels: (H, W) int32 on the pixels that it came with.
         objects: with the network's motions.
 
     Returns:
         Labels and objects, numbered anew from 1.
     """
-    witness = Witness(prev, curr, labels)
-    objects = bring_to_rest(witness, refine_objects(prev, curr, labels, objects))
-    objects = search_motions(prev, curr, witness, objects)
+    witness = Witness(ready.prev, ready.curr, labels)
+    objects = bring_to_rest(witness, refine_objects(ready, labels, objects))
+    objects = search_motions(ready.prev, ready.curr, witness, objects)
     labels, objects = join_pieces(witness, labels, objects)
     # Only now: a mask that ends a little inside its object makes the better motion.
-    labels = follow_edges(labels, curr_s, curr)
+    labels = follow_edges(labels, curr_s, ready.curr)
     labels, objects = keep_seen(labels, tuple(obj for obj in objects if obj.moving or obj.score >= SURE))
-    labels, objects = find_overlooked(prev, curr, witness, labels, objects)
+    labels, objects = find_overlooked(ready, witness, labels, objects)
     return labels, score_movers(witness, objects)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import correspondence, geometry, rigid
+from objectflow import geometry, rigid
 from objectflow.consensus import verdict
 from objectflow.consensus.background import background_motion
 from objectflow.consensus.proposals import propose
@@ -27,6 +27,7 @@ from objectflow.estimator import check_camera_option
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.noise import match_sigma
+from objectflow.readied import Readied
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -69,20 +70,15 @@ class Consensus:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
-        return self.find(prev, curr)
+        return self.find(Readied(prev, curr, self.match_width))
 
     def find(
-        self,
-        prev: RgbdFrame,
-        curr: RgbdFrame,
-        *,
-        known: Mask | None = None,
-        others: Sequence[tuple[Array, Mask]] = (),
+        self, ready: Readied, *, known: Mask | None = None, others: Sequence[tuple[Array, Mask]] = ()
     ) -> SceneMotion:
         """What moves among pixels that nothing else explains.
 
         Args:
-            prev, curr: the frames.
+            ready: the frames, as wide as they were made ready; `match_width` says nothing here.
             known: (H, W) bool of the current frame: pixels that are spoken for. Nothing is looked for there, and the
                 result has background there.
             others: `prev_T_curr` and (H, W) mask of each object that is known to move: what it hid may be background.
@@ -91,12 +87,11 @@ class Consensus:
             FrameError: the frames differ in size or intrinsics.
         """
         start = time.perf_counter()
+        prev, curr = ready.prev, ready.curr
         check_pair(prev, curr)
         rng = np.random.default_rng(self.seed)
         # 1. Match the frames and lift the matches by depth.
-        prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
-        matches = correspondence.find_matches(prev_m, curr_m)
-        target, sources = rigid.Target(prev_m), rigid.Sources(curr_m)
+        curr_m, matches, target, sources = ready.curr_m, ready.matches, ready.target, ready.sources
         # 2. The background first: what moves is what does not follow it.
         camera_motion = background_motion(matches, target, curr_m, camera=self.camera, rng=rng)
         background = np.eye(4) if camera_motion is None else camera_motion

@@ -14,6 +14,7 @@ from objectflow.diagnosis.registration import alignment, estimate_offset
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.noise import depth_sigma
+from objectflow.readied import Readied
 
 Array = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]
     same = _identical(prev, curr)
     findings.append(same)
     if same.level == "fine":
-        prev_T_curr = moving_camera.find_camera_motion(prev, curr, seed=seed)
+        prev_T_curr = moving_camera.find_camera_motion(Readied(prev, curr), seed=seed)
         findings.append(_exposure(prev, curr))
         if prev_T_curr is None:
             findings.append(_crossed(prev, curr))

@@ -1,0 +1,51 @@
+"""A pair made ready for alignment once: matches between the frames, and both as `rigid.refine` wants them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+from objectflow import rigid
+from objectflow.correspondence import Matches, find_matches
+from objectflow.frame import RgbdFrame
+from objectflow.motion import SceneMotion
+
+WIDTH = 640
+"""Pixels: wider frames are narrowed to it first. More adds time, no exactness that the depth would bear."""
+
+
+class Readied:
+    """What every step that aligns something asks of a pair; each thing is made when it is first asked for.
+
+    Attributes:
+        prev, curr: the frames.
+        prev_m, curr_m: the same, narrowed; what follows is theirs.
+    """
+
+    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, width: int = WIDTH) -> None:
+        self.prev, self.curr = prev, curr
+        self.prev_m, self.curr_m = prev.narrowed(width), curr.narrowed(width)
+
+    @cached_property
+    def matches(self) -> Matches:
+        """Between the frames."""
+        return find_matches(self.prev_m, self.curr_m)
+
+    @cached_property
+    def target(self) -> rigid.Target:
+        """The previous frame."""
+        return rigid.Target(self.prev_m)
+
+    @cached_property
+    def sources(self) -> rigid.Sources:
+        """The current frame."""
+        return rigid.Sources(self.curr_m)
+
+
+@runtime_checkable
+class TakesReadied(Protocol):
+    """An estimator that spares itself what somebody else has made ready."""
+
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+        """As the call of an `Estimator`."""
+        ...
