@@ -72,6 +72,33 @@ def test_a_mover_without_a_label_is_found(seed: int) -> None:
     assert [obj.pixels for obj in found] == [int((after == obj.id).sum()) for obj in found]
 
 
+@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("seed", [51, 53, 56])
+def test_a_body_seen_in_part_becomes_whole_with_its_own_motion(seed: int, share: float) -> None:
+    """The network saw a strip of it, and its motion too badly for the rest to follow."""
+    pair = scene(seed)
+    objects = true_objects(pair)
+    body = clear_mover(pair, objects)
+    mask = pair.labels == body.id
+    rows = np.nonzero(mask)[0]
+    first, last = np.quantile(rows, (0.5 - share / 2, 0.5 + share / 2))
+    strip = mask & (np.arange(240)[:, None] >= first) & (np.arange(240)[:, None] <= last)
+    labels = np.where(mask & ~strip, np.int32(0), pair.labels)
+    off = geometry.se3_exp([0, 0, 0, 0.15, 0.1, -0.15])
+    about = np.eye(4)
+    about[:3, 3] = geometry.transform(body.prev_T_curr, body.center)
+    badly = about @ off @ geometry.inverse(about) @ body.prev_T_curr
+    seen = tuple(
+        dataclasses.replace(obj, prev_T_curr=badly, pixels=int(strip.sum())) if obj is body else obj for obj in objects
+    )
+    after, found = look(pair, labels, seen)
+    at = np.bincount(after[mask]).argmax()
+    assert overlap(after == at, mask) > 0.85
+    (whole,) = (obj for obj in found if obj.id == at)
+    error = geometry.inverse(body.prev_T_curr) @ whole.prev_T_curr
+    assert np.degrees(geometry.rotation_angle(error[:3, :3])) < 3
+
+
 @pytest.mark.parametrize("seed", [51, 53, 56])
 def test_the_lost_half_of_a_mover_comes_back_to_it(seed: int) -> None:
     pair = scene(seed)

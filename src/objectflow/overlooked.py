@@ -40,6 +40,8 @@ ALONG = 0.6
 """Of its own way: a piece that another motion takes nearer than this to the same place goes along with it."""
 SMALL, SMALL_ALONG = 0.25, 0.5
 """Of a neighbour's pixels: of fewer, a piece is not taken for an object by itself; the second if it goes along."""
+FRAGMENT = 0.1
+"""Of the pixels of a body that the network overlooked: what it saw of fewer beside it is a piece of that body."""
 
 
 def find_overlooked(
@@ -71,7 +73,9 @@ def find_overlooked(
     for piece in added:
         number[piece.id] = _owner(witness, piece, objects)
     own = tuple(piece for piece in added if number[piece.id] == piece.id)
-    labels, objects = keep_seen(number[labels], objects + own)
+    labels = number[labels]
+    witness.show(labels)
+    labels, objects = keep_seen(_gather(witness, objects, own)[labels], objects + own)
     witness.show(labels)
     return labels, objects
 
@@ -112,6 +116,38 @@ def _owner(witness: Witness, piece: ObjectMotion, objects: tuple[ObjectMotion, .
         elif owner == piece.id and piece.pixels < (SMALL_ALONG if apart < ALONG * way else SMALL) * obj.pixels:
             owner = 0
     return owner
+
+
+def _gather(witness: Witness, known: tuple[ObjectMotion, ...], added: tuple[ObjectMotion, ...]) -> Labels:
+    """New numbers for bodies of which the network saw one part and the search found others.
+
+    Each mover, the smallest first, joins the larger one nearby whose motion explains it best, if that is about as well
+    as its own does. One of the two is new: what the network told apart stays apart. A mere fragment joins in any case.
+    """
+    left = {obj.id: obj for obj in known + added if obj.moving}
+    new = {obj.id for obj in added}
+    number = np.arange(1 + max((obj.id for obj in known + added), default=0), dtype=np.int32)
+    for small in sorted(left.values(), key=lambda obj: obj.pixels):
+        mask = witness.mask(small.id)
+        if not mask.any():
+            continue
+        near = np.unique(witness.labels[_spread(mask, REACH)])
+        pixels = left[small.id].pixels
+        best, host = float(witness.cost(small.prev_T_curr, mask).mean()) + WORSE, None
+        for other in left.values():
+            if other.id == small.id or other.id not in near or other.pixels < pixels or not new & {other.id, small.id}:
+                continue
+            cost = float(witness.cost(other.prev_T_curr, mask).mean())
+            if cost < best:
+                best, host = cost, other
+            elif host is None and other.id in new and pixels < FRAGMENT * other.pixels:
+                host = other
+        if host is not None:
+            left[host.id] = dataclasses.replace(host, pixels=host.pixels + pixels)
+            del left[small.id]
+            number[number == small.id] = host.id
+            witness.labels = np.where(witness.labels == small.id, np.int32(host.id), witness.labels)
+    return number
 
 
 def _spread(mask: Mask, pixels: int) -> Mask:
