@@ -103,10 +103,11 @@ def sample_depth(depth: Floats, pixels: Floats) -> tuple[Floats, NDArray[np.bool
     with np.errstate(invalid="ignore"):
         inside = (pixels[:, 0] >= 0) & (pixels[:, 1] >= 0) & (pixels[:, 0] <= width - 1) & (pixels[:, 1] <= height - 1)
     u, v = np.where(inside, pixels[:, 0], 0), np.where(inside, pixels[:, 1], 0)
-    u0, v0 = np.minimum(u.astype(np.int32), width - 2), np.minimum(v.astype(np.int32), height - 2)
+    u0, v0 = np.minimum(u.astype(np.int32), max(0, width - 2)), np.minimum(v.astype(np.int32), max(0, height - 2))
+    right, below = min(1, width - 1), width * min(1, height - 1)  # an image may be a single pixel wide
     du, dv = (u - u0).astype(np.float32), (v - v0).astype(np.float32)
     first, values = v0 * width + u0, np.ascontiguousarray(depth).ravel()
-    a, b, c, d = (values.take(first + step, mode="clip") for step in (0, 1, width, width + 1))
+    a, b, c, d = (values.take(first + step) for step in (0, right, below, below + right))
     low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
     ok = inside & (low > 0) & (high - low < 0.02 * high + 0.005)
     top, bottom = a + (b - a) * du, c + (d - c) * du

@@ -103,9 +103,10 @@ def splat(
 def _bilinear(image: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W, C) at pixels (N, 2) as (u, v) that lie between pixel centres -> (N, C) float32."""
     height, width, channels = image.shape
-    low = np.minimum(np.floor(pixels), np.array([width - 2, height - 2], np.float32))
+    low = np.minimum(np.floor(pixels), np.array([max(0, width - 2), max(0, height - 2)], np.float32))
+    right, below = min(1, width - 1), width * min(1, height - 1)  # an image may be a single pixel wide
     du, dv = (pixels - low).T[..., None]
     first, values = low[:, 1].astype(np.int64) * width + low[:, 0].astype(np.int64), image.reshape(-1, channels)
-    a, b, c, d = (values.take(first + step, axis=0).astype(np.float32) for step in (0, 1, width, width + 1))
+    a, b, c, d = (values.take(first + step, axis=0).astype(np.float32) for step in (0, right, below, below + right))
     top, bottom = a + (b - a) * du, c + (d - c) * du
     return np.asarray(top + (bottom - top) * dv, dtype=np.float32)
