@@ -12,12 +12,12 @@ from torch import Tensor
 
 from objectflow import geometry
 from objectflow.averaging import average_motions
-from objectflow.consensus.sharpen import sharpen
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.outputs import DenseMotion, scene_flow
+from objectflow.sharpen import sharpen
 
 Labels = NDArray[np.int32]
 Floats = NDArray[np.float32]

@@ -19,7 +19,6 @@ from objectflow.consensus import verdict
 from objectflow.consensus.background import background_motion
 from objectflow.consensus.proposals import propose
 from objectflow.consensus.seek import seek
-from objectflow.consensus.sharpen import sharpen
 from objectflow.consensus.stage import Stage, enlarge, inside
 from objectflow.correspondence import Matches
 from objectflow.errors import MethodError
@@ -28,6 +27,7 @@ from objectflow.frame import RgbdFrame, check_pair
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.noise import match_sigma
 from objectflow.readied import Readied
+from objectflow.sharpen import sharpen
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
