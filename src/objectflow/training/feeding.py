@@ -27,24 +27,24 @@ def on_device(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]
 
 
 def _copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
-    ready: queue.Queue[Batch | BaseException] = queue.Queue(_AHEAD)
+    ready: queue.Queue[Batch | BaseException | None] = queue.Queue(_AHEAD)
     done = threading.Event()
+
+    def hand_on(item: Batch | BaseException | None) -> None:
+        while not done.is_set():
+            with suppress(queue.Full):
+                ready.put(item, timeout=0.2)
+                break
 
     def work() -> None:
         try:
             for batch in batches:
-                item = _pinned(batch).to(device)
-                while not done.is_set():
-                    with suppress(queue.Full):
-                        ready.put(item, timeout=0.2)
-                        break
+                hand_on(_pinned(batch).to(device))
                 if done.is_set():
                     break
+            hand_on(None)
         except BaseException as error:
-            while not done.is_set():
-                with suppress(queue.Full):
-                    ready.put(error, timeout=0.2)
-                    break
+            hand_on(error)
         finally:
             if isinstance(batches, Generator):
                 batches.close()
@@ -54,6 +54,8 @@ def _copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Ba
     try:
         while True:
             item = ready.get()
+            if item is None:
+                return
             if isinstance(item, BaseException):
                 raise item
             yield item
