@@ -17,9 +17,10 @@ import analytic
 import objectflow
 from objectflow import RgbdFrame, geometry
 from objectflow.errors import MethodError
-from objectflow.instances import dense_to_motion, nearest
+from objectflow.instances import dense_to_motion
 from objectflow.learned import SceneFlowEstimator, to_tensors
 from objectflow.motion import SceneMotion
+from objectflow.sharpen import nearest
 from small_networks import TINY, save
 from true_maps import Truth
 

@@ -13,11 +13,10 @@ from torch import Tensor
 from objectflow import geometry
 from objectflow.averaging import average_motions
 from objectflow.errors import MethodError
-from objectflow.frame import RgbdFrame
 from objectflow.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.outputs import DenseMotion, scene_flow
-from objectflow.sharpen import sharpen
+from objectflow.sharpen import nearest
 
 Labels = NDArray[np.int32]
 Floats = NDArray[np.float32]
@@ -130,32 +129,6 @@ def pixel_flow(output: DenseMotion, labels: Labels, points: Floats) -> Floats:
 def rigid_flow(objects: tuple[ObjectMotion, ...], labels: Labels, points: Floats) -> Floats:
     """The flow that the objects' motions make; shapes as in `pixel_flow`."""
     return geometry.flow_from_motions(points, labels, {obj.id: obj.prev_T_curr for obj in objects})
-
-
-def nearest(source: tuple[int, ...], size: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The row and the column of `source` (h, w) whose centre is nearest to that of each of `size` (H, W)."""
-    (h, w), (height, width) = source, size
-    rows = np.minimum(((np.arange(height) + 0.5) * h / height).astype(np.intp), h - 1)
-    columns = np.minimum(((np.arange(width) + 0.5) * w / width).astype(np.intp), w - 1)
-    return rows, columns
-
-
-def follow_edges(labels: Labels, small: RgbdFrame, full: RgbdFrame) -> Labels:
-    """Let labels that were found on a smaller image end where depth and colour of the full one do.
-
-    Args:
-        labels: (H, W) int32 on `full`, each pixel as the nearest of `small` has it.
-        small: the frame that they were found on.
-        full: the frame itself.
-
-    Returns:
-        (H, W) int32. Pixels without depth keep their label, and so do all where `small` is no smaller.
-    """
-    if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
-        return labels
-    rows, columns = nearest(labels.shape, small.depth.shape)
-    sharp = sharpen(labels[rows[:, None], columns], small, full)
-    return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
 def _array(one: Tensor) -> NDArray[Any]:

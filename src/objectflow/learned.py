@@ -18,13 +18,14 @@ from objectflow.estimator import check_camera_option
 from objectflow.find_weights import find_weights
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.grouping import GroupingSettings
-from objectflow.instances import average_objects, keep_seen, label_pixels, nearest, pixel_flow, rigid_flow
+from objectflow.instances import average_objects, keep_seen, label_pixels, pixel_flow, rigid_flow
 from objectflow.motion import SceneMotion
 from objectflow.networks.outputs import DenseMotion
 from objectflow.networks.sceneflownet import SceneFlowNet
 from objectflow.networks.weights import load_weights
 from objectflow.readied import Readied
 from objectflow.refining import refine_objects
+from objectflow.sharpen import nearest
 
 Rigid = Literal["none", "average", "refine"]
 PAPER_SIZE = (240, 320)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from objectflow import geometry, rigid
 from objectflow.averaging import moves
-from objectflow.instances import nearest
 from objectflow.motion import ObjectMotion
 from objectflow.noise import depth_sigma
 from objectflow.readied import Readied
+from objectflow.sharpen import nearest
 
 Array = NDArray[np.float64]
 

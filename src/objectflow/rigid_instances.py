@@ -9,11 +9,12 @@ from torch import Tensor
 
 from objectflow import geometry
 from objectflow.errors import MethodError
-from objectflow.instances import keep_seen, nearest, rigid_flow
+from objectflow.instances import keep_seen, rigid_flow
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.rigidmatch.inputs import clean_points, grid
 from objectflow.networks.rigidmatch.outputs import RigidOutput
 from objectflow.networks.rigidmatch.refinement import mix_neighbors
+from objectflow.sharpen import nearest
 
 Labels = NDArray[np.int32]
 Floats = NDArray[np.float32]

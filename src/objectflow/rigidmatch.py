@@ -18,7 +18,7 @@ from objectflow.errors import MethodError
 from objectflow.estimator import check_camera_option
 from objectflow.find_weights import find_weights
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.instances import follow_edges, keep_seen, nearest, rigid_flow
+from objectflow.instances import keep_seen, rigid_flow
 from objectflow.joining import join_pieces
 from objectflow.learned import resize_to, to_tensors, trained_size
 from objectflow.motion import ObjectMotion, SceneMotion
@@ -31,6 +31,7 @@ from objectflow.refining import refine_objects
 from objectflow.resting import bring_to_rest
 from objectflow.rigid_instances import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
 from objectflow.scoring import score_movers
+from objectflow.sharpen import follow_edges, nearest
 from objectflow.witness import Witness
 
 Rigid = Literal["none", "solve", "refine"]

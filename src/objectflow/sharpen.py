@@ -1,4 +1,4 @@
-"""Labels of a reduced image, brought to the full one."""
+"""Labels of a reduced image, brought to the full one: nearest pixels, and borders that follow the full image."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ from numpy.typing import NDArray
 
 from objectflow.frame import RgbdFrame
 from objectflow.noise import depth_sigma
+
+
+def nearest(source: tuple[int, ...], size: tuple[int, ...]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The row and the column of `source` (h, w) whose centre is nearest to that of each of `size` (H, W)."""
+    (h, w), (height, width) = source, size
+    rows = np.minimum(((np.arange(height) + 0.5) * h / height).astype(np.intp), h - 1)
+    columns = np.minimum(((np.arange(width) + 0.5) * w / width).astype(np.intp), w - 1)
+    return rows, columns
 
 
 def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDArray[np.int32]:
@@ -23,8 +31,7 @@ def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDA
     """
     height, width = full.depth.shape
     h, w = labels.shape
-    rows = np.minimum(((np.arange(height) + 0.5) * h / height).astype(int), h - 1)
-    columns = np.minimum(((np.arange(width) + 0.5) * w / width).astype(int), w - 1)
+    rows, columns = nearest((h, w), (height, width))
     out = labels[rows[:, None], columns[None, :]]
     if (h, w) != (height, width):
         size = np.ones((3, 3))
@@ -43,6 +50,24 @@ def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDA
         out[y, x] = votes.argmax(0)
     out = np.where(full.valid, out, 0).astype(np.int32)
     return _fill_holes(out, full)
+
+
+def follow_edges(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDArray[np.int32]:
+    """Let labels that were found on a smaller image end where depth and colour of the full one do.
+
+    Args:
+        labels: (H, W) int32 on `full`, each pixel as the nearest of `small` has it.
+        small: the frame that they were found on.
+        full: the frame itself.
+
+    Returns:
+        (H, W) int32. Pixels without depth keep their label, and so do all where `small` is no smaller.
+    """
+    if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
+        return labels
+    rows, columns = nearest(labels.shape, small.depth.shape)
+    sharp = sharpen(labels[rows[:, None], columns], small, full)
+    return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
 def _fill_holes(labels: NDArray[np.int32], full: RgbdFrame) -> NDArray[np.int32]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.consensus.cost import Look, motion_cost
 from objectflow.frame import RgbdFrame
-from objectflow.instances import nearest
+from objectflow.sharpen import nearest
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from objectflow.frame import Camera, RgbdFrame
-from objectflow.instances import follow_edges, nearest
+from objectflow.sharpen import follow_edges, nearest
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 
