@@ -7,8 +7,6 @@ up to 30 degrees, ray-cast by code that shares nothing with the methods.
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import tyro
@@ -16,10 +14,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 
-import objectflow
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import analytic
+import objectflow
 
 REFERENCES = ("zero", "dense-flow")
 

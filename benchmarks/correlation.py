@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from objectflow.networks import correlation
+from objectflow.networks.sceneflownet import correlation
 
 
 @dataclasses.dataclass

@@ -22,7 +22,7 @@ from objectflow.dataset.batches import Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import make_targets
 from objectflow.networks import NetworkSettings, SceneFlowNet
-from objectflow.training.losses import compute_losses
+from objectflow.training.sceneflownet_losses import compute_losses
 
 T = TypeVar("T")
 

@@ -19,9 +19,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from objectflow.synth.maker import Scenes
-from objectflow.synth.scene import SceneSettings
-from objectflow.synth.workers import InProcess, Maker, Processes, SceneRows, Task
+from objectflow.runtime.pool import InProcess, Processes
+from objectflow.synth.generation.paper_maker import Scenes
+from objectflow.synth.generation.tasks import Maker, SceneRows, Task
+from objectflow.synth.scenes.paper_scene import SceneSettings
 
 WARM_UP = 2
 """Scenes a worker."""

@@ -19,8 +19,8 @@ from rich.console import Console
 from rich.table import Table
 from torch import Tensor
 
-from objectflow.averaging import average_motions
-from objectflow.grouping import GroupingSettings, group, trajectory_feature
+from objectflow.methods.sceneflownet.averaging import average_motions
+from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
 from timing import time_each
 
 

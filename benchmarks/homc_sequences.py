@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from objectflow.baselines.homc.densify import densify
-from objectflow.baselines.homc.estimator import Homc, Segmentation, lab_image, pixel_index
 from objectflow.dataset.schema import SequenceRow
 from objectflow.dataset.shards import open_sequences
-from objectflow.evaluation.segmentation_metrics import SegmentationScore, score_segmentation
+from objectflow.evaluation.metrics.segmentation_metrics import SegmentationScore, score_segmentation
+from objectflow.methods.baselines.homc.densify import densify
+from objectflow.methods.baselines.homc.estimator import Homc, Segmentation, lab_image, pixel_index
 
 PREV_FRAME, CURR_FRAME = 20, 80
 

@@ -22,7 +22,7 @@ from pathlib import Path
 import tyro
 
 PROGRAM = (
-    "import sys; import objectflow.synth.generate as g; g.ROWS_A_SHARD = int(sys.argv.pop(1)); "
+    "import sys; import objectflow.synth.generation.generate as g; g.ROWS_A_SHARD = int(sys.argv.pop(1)); "
     "from objectflow.cli import main; sys.exit(main())"
 )
 

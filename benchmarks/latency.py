@@ -16,7 +16,6 @@ import os
 import platform
 import resource
 import statistics
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -28,8 +27,6 @@ from typing import Any, TypeVar
 import tyro
 from rich.console import Console
 from rich.table import Table
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 REFERENCE = "dense-flow"
 T = TypeVar("T")
@@ -98,8 +95,12 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
 
     import analytic
     import objectflow
-    from objectflow import find_weights, geometry, instances, readied, refining
+    from objectflow import geometry
+    from objectflow.alignment import frame_pair, refine_objects
     from objectflow.errors import MethodError
+    from objectflow.methods import find_weights
+    from objectflow.methods.labels import rigid_flow
+    from objectflow.methods.sceneflownet import decoding
     from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet
     from objectflow.networks.weights import save_weights
     from true_maps import Truth
@@ -145,20 +146,23 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         points = geometry.back_project(curr.depth, curr.camera)
         parts = [
             fastest(lambda: [one.cpu() for one in estimator.predict(prev, curr)], settings.repeats),  # noqa: B023
-            fastest(lambda: instances.label_pixels(maps), settings.repeats),  # noqa: B023
+            fastest(lambda: decoding.label_pixels(maps), settings.repeats),  # noqa: B023
         ]
-        labels = instances.label_pixels(maps)
-        objects = instances.average_objects(maps, labels, curr.valid)
+        labels = decoding.label_pixels(maps)
+        objects = decoding.average_objects(maps, labels, curr.valid)
 
         def average() -> None:
-            instances.rigid_flow(instances.average_objects(maps, labels, curr.valid), labels, points)  # noqa: B023
+            rigid_flow(decoding.average_objects(maps, labels, curr.valid), labels, points)  # noqa: B023
 
         parts.append(fastest(average, settings.repeats))
         object.__setattr__(estimator, "network", ThenTruth(network, maps))
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats))  # noqa: B023
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats, time.process_time))  # noqa: B023
         parts.append(
-            fastest(lambda: refining.refine_objects(readied.Readied(prev, curr), labels, objects), settings.repeats)  # noqa: B023
+            fastest(
+                lambda: refine_objects.refine_objects(frame_pair.Readied(prev, curr), labels, objects),  # noqa: B023
+                settings.repeats,
+            )
         )
         rows.append(parts)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -172,7 +176,7 @@ def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float
 
     import analytic
     import objectflow
-    from objectflow.learned import resize_to
+    from objectflow.methods.network_io import resize_to
     from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
     from objectflow.networks.rigidmatch.settings import SMALL
     from objectflow.networks.weights import save_weights

@@ -29,12 +29,13 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from objectflow.estimator import Estimator
 from objectflow.evaluation.methods import parse_methods
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.live import Latest, follow, replay
+from objectflow.methods.base import Estimator
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking import Tracker, TrackerSettings
+from objectflow.tracking.tracker import Tracker, TrackerSettings
 
 RATE = 30.0
 TRUTH = "truth"

@@ -25,9 +25,9 @@ from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
 from objectflow.networks import DenseMotion, SceneFlowNet, scene_flow
-from objectflow.training.building import build_optimizer
-from objectflow.training.kinds import losses_of
+from objectflow.training.adapters import losses_of
 from objectflow.training.recipe import RECIPES
+from objectflow.training.setup import build_optimizer
 from objectflow.training.step import prepare, step_generator
 
 Missing = Literal["channel", "masked"]

@@ -8,8 +8,6 @@ are those of the masked scene flow, on the objects that moved.
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
 
 import numpy as np
 import tyro
@@ -18,14 +16,11 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+import analytic
 import objectflow
 from objectflow import geometry
-from objectflow.moving_camera import MovingCamera, find_camera_motion
-from objectflow.readied import Readied
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-
-import analytic
+from objectflow.alignment.frame_pair import Readied
+from objectflow.methods.moving_camera import MovingCamera, find_camera_motion
 
 Array = NDArray[np.float64]
 

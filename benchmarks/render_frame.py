@@ -58,7 +58,7 @@ def make_scenes(settings: Settings) -> list[Scene]:
 def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
     import mujoco
 
-    from objectflow.synth.objects import open_library
+    from objectflow.synth.objects.procedural import open_library
 
     library = open_library(None)
     refs = library.refs("train")
@@ -128,7 +128,7 @@ def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: 
 
 
 def time_ray_tracer(settings: Settings, samples: int) -> Times:
-    from objectflow.synth.render import Renderer
+    from objectflow.synth.rendering.renderer import Renderer
 
     renderer = Renderer(settings.width, settings.width * 3 // 4, samples=samples, device=settings.device)
     return time_scenes(make_scenes(settings), lambda scene: renderer.render(*scene), settings.frames)

@@ -20,16 +20,16 @@ from rich.table import Table
 
 from objectflow import Camera, ObjectMotion, RgbdFrame, SceneMotion, geometry
 from objectflow.evaluation.cache import encode, read_prediction
-from objectflow.evaluation.flow_metrics import score_flow
+from objectflow.evaluation.data.sources import open_set
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
 from objectflow.evaluation.methods import parse_methods
-from objectflow.evaluation.object_metrics import score_objects
-from objectflow.evaluation.pair_score import score_pair
+from objectflow.evaluation.metrics.flow_metrics import score_flow
+from objectflow.evaluation.metrics.object_metrics import score_objects
+from objectflow.evaluation.metrics.pair_score import score_pair
+from objectflow.evaluation.metrics.segmentation_metrics import score_segmentation
 from objectflow.evaluation.predict import predict
 from objectflow.evaluation.runtime import machine_name
 from objectflow.evaluation.score import score
-from objectflow.evaluation.segmentation_metrics import score_segmentation
-from objectflow.evaluation.sources import open_set
-from objectflow.evaluation.truth import PairTruth, TrueObject, make_truth
 
 
 @dataclasses.dataclass

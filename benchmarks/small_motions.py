@@ -7,19 +7,15 @@ Options of a method follow its name: `sr-flow:alpha=10`.
 from __future__ import annotations
 
 import dataclasses
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from objectflow.evaluation.methods import parse_method
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import analytic
+from objectflow.evaluation.methods import parse_method
 
 
 @dataclasses.dataclass

@@ -21,10 +21,10 @@ from objectflow import geometry
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import SequenceRow
 from objectflow.dataset.shards import open_sequences
-from objectflow.estimator import Estimator
 from objectflow.evaluation.methods import parse_methods
+from objectflow.methods.base import Estimator
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking import Tracker
+from objectflow.tracking.tracker import Tracker
 
 Array = NDArray[np.float64]
 ORACLE = "oracle"

@@ -24,13 +24,13 @@ from torch.nn.utils import clip_grad_norm_
 
 from objectflow.dataset.batches import CACHE_BYTES, Batches
 from objectflow.dataset.shards import open_pairs
-from objectflow.devices import find_device
-from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import build_network, build_optimizer, compiled, precision
-from objectflow.training.feeding import on_device
-from objectflow.training.kinds import losses_of, trained_form
+from objectflow.runtime.devices import find_device
+from objectflow.training.adapters import losses_of, trained_form
+from objectflow.training.ema import AveragedWeights
 from objectflow.training.parallel import Process
+from objectflow.training.prefetch import on_device
 from objectflow.training.recipe import RECIPES, Recipe, find_recipe
+from objectflow.training.setup import build_network, build_optimizer, compiled, precision
 from objectflow.training.step import prepare, step_generator
 
 PHASES = ("data", "targets", "forward", "backward", "update")

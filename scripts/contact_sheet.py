@@ -11,7 +11,7 @@ import tyro
 from numpy.typing import NDArray
 from tyro.conf import Positional
 
-from objectflow.dataset.movers import moving_labels
+from objectflow.dataset.moving_objects import moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.show import label_color

@@ -12,7 +12,7 @@ import os
 from typing import Any
 
 from objectflow.cli import VERBS, main
-from objectflow.estimator import DEFAULT_METHOD, METHODS
+from objectflow.methods.registry import DEFAULT_METHOD, METHODS
 
 COLUMNS = "92"
 """Characters: a line of help fits a page's code block."""

@@ -19,8 +19,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import render_demo
 from numpy.typing import NDArray
+
+import render_demo
 
 DEMO = Path(__file__).resolve().parents[1] / "src" / "objectflow" / "demo" / "pair"
 STEPS = (0.0, 0.5, 1.0, 1.5, 2.0)

@@ -14,8 +14,8 @@ import tyro
 from numpy.typing import NDArray
 from tyro.conf import Positional
 
+from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.methods import parse_methods
-from objectflow.evaluation.sources import open_set
 from objectflow.view import canvas
 from objectflow.view.colors import INK
 from objectflow.view.overlay import draw_overlay

@@ -16,13 +16,14 @@ import cv2
 import numpy as np
 import tyro
 
-from objectflow.dataset.manifest import Manifest, Part, Shard, hash_file, shard_name
+from objectflow.dataset.manifest import Manifest, Part, Shard, shard_name
 from objectflow.dataset.shards import open_pairs, write_shard
-from objectflow.evaluation.sources import TINY_FOLDER
-from objectflow.synth.generate import Job, generate
-from objectflow.synth.maker import Scenes
-from objectflow.synth.scene import SceneSettings
-from objectflow.synth.workers import InProcess
+from objectflow.evaluation.data.sources import TINY_FOLDER
+from objectflow.runtime.pool import InProcess
+from objectflow.storage.files import hash_file
+from objectflow.synth.generation.generate import Job, generate
+from objectflow.synth.generation.paper_maker import Scenes
+from objectflow.synth.scenes.paper_scene import SceneSettings
 
 SPLIT = "test"
 LIMIT = 3_000_000

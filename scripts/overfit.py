@@ -24,10 +24,11 @@ from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.manifest import Manifest, Shard
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs, write_shard
+from objectflow.storage import files
+from objectflow.training.callbacks import Terminal
 from objectflow.training.loop import Job, train
 from objectflow.training.recipe import RECIPES
 from objectflow.training.validation import Validation
-from objectflow.training.watch import Terminal
 
 PAIRS = 8
 GENERATED = 48
@@ -59,7 +60,7 @@ def choose(source: Path, target: Path) -> None:
     target.mkdir(parents=True, exist_ok=True)
     path = target / manifests.shard_name("train", 0, 1)
     write_shard(path, [row.to_dict() for row in rows], "pairs", {})
-    shard = Shard(path.name, len(rows), path.stat().st_size, manifests.hash_file(path))
+    shard = Shard(path.name, len(rows), path.stat().st_size, files.hash_file(path))
     manifest = Manifest.read(source)
     part = dataclasses.replace(manifest.parts["train"], rows=len(rows), scenes=len(rows), shards=(shard,))
     dataclasses.replace(manifest, parts={"train": part}).write(target)

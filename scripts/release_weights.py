@@ -24,10 +24,10 @@ from typing import Any, Literal
 
 import tyro
 
-from objectflow import files
-from objectflow.dataset.manifest import hash_file
-from objectflow.find_weights import packaged_folder
+from objectflow.methods.find_weights import packaged_folder
 from objectflow.networks.weights import load_network, read_header, save_weights
+from objectflow.storage import files
+from objectflow.storage.files import hash_file
 
 Variant = Literal["s", "c", "c-vl", "rigidmatch"]
 PAPER = Path(__file__).resolve().parents[1] / "weights"

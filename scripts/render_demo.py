@@ -16,10 +16,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from demo_paint import PAINT, wood
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
+
+from demo_paint import PAINT, wood
 
 Array = NDArray[Any]
 

@@ -16,10 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests" / "view"))
+from browser import chromium, find_chromium
 
-from browser import chromium, find_chromium  # noqa: E402
+ROOT = Path(__file__).resolve().parents[1]
 
 PAIR = ROOT / "src" / "objectflow" / "demo" / "pair"
 PICTURE = ROOT / "docs" / "images" / "viewer.png"

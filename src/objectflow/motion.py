@@ -12,9 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import files, geometry
+from objectflow import geometry
 from objectflow.errors import ReaderError, ResultError
-from objectflow.frame import read_image
+from objectflow.storage import files
+from objectflow.storage.images import read_image
 
 # What broken JSON and .npy files make their parsers raise: numbers without end, brackets that never close, a header
 # that is no Python or asks for more memory than there is.

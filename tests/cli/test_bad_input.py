@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 import pytest
 
-from objectflow import estimator
 from objectflow.cli import main
+from objectflow.methods import base, registry
 
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
 
@@ -118,7 +118,7 @@ def test_bad_pairs(case: str, tmp_path: Path, capfd: pytest.CaptureFixture[str])
 def test_an_unknown_method_lists_all_choices(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", str(PAIR), "--method", "best"]) == 2
     line = capfd.readouterr().err
-    assert all(name in line for name in estimator.METHODS)
+    assert all(name in line for name in registry.METHODS)
 
 
 @pytest.mark.parametrize("verb", ["estimate", "run"])
@@ -151,13 +151,13 @@ def test_a_disk_that_refuses(
     def refuse(*_: Any, **__: Any) -> str:
         raise PermissionError(13, "Permission denied", str(tmp_path))
 
-    def never(name: str, **_: Any) -> estimator.Estimator:
+    def never(name: str, **_: Any) -> base.Estimator:
         def call(prev: Any, curr: Any) -> Any:
             pytest.fail("estimated before the output was checked")
 
         return call
 
-    monkeypatch.setattr("objectflow.files.tempfile.mkdtemp", refuse)
+    monkeypatch.setattr("objectflow.storage.files.tempfile.mkdtemp", refuse)
     monkeypatch.setattr("objectflow.cli.arguments.load", never)
     assert main([verb, str(PAIR), "--out", str(tmp_path / "a" / "b")]) == 1
     check_one_line(capfd, "Permission denied")

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import interruptions
 from objectflow.cli import main
 from objectflow.dataset.shards import open_pairs, open_sequences
-from objectflow.synth import generate as generating
+from objectflow.synth.generation import generate as generating
 
 pytest.importorskip("mujoco_warp", reason="generating needs the extra [synth]")
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import small_sets
+from helpers import small_sets
 from objectflow.cli import main
 from objectflow.evaluation.results import Evaluation
 
@@ -188,7 +188,7 @@ def test_a_disk_that_refuses_is_one_line(tmp_path: Path, capsys: pytest.CaptureF
 def test_a_set_on_which_everything_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from objectflow.baselines.zero import Zero
+    from objectflow.methods.baselines.zero import Zero
 
     def fail(*_: object) -> None:
         raise RuntimeError("broken")

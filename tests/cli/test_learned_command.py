@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from objectflow import find_weights
+from helpers.small_networks import save, save_all
 from objectflow.cli import main
 from objectflow.cli.output import RESULT_FILES
+from objectflow.methods import find_weights
 from objectflow.motion import SceneMotion
-from small_networks import save, save_all
 
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
 METHOD = ["--method", "sceneflownet-c-vl"]

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 import torch
 
+from helpers.pair_sets import random_pair, without_objects, write_pairs
+from helpers.training_runs import NETWORK, write_set
 from objectflow import cli
 from objectflow.dataset.manifest import Manifest
 from objectflow.networks import SceneFlowNet
 from objectflow.networks.weights import save_weights
-from pair_sets import random_pair, without_objects, write_pairs
-from training_runs import NETWORK, write_set
 
 TINY = [
     "--size", "24", "32", "--batch-size", "4", "--steps", "4", "--validate-every", "2", "--validation-pairs", "4",

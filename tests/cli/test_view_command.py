@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from objectflow.cli import main
-from objectflow.view.moments import Moment
 from objectflow.view.viewer import NoViewer, open_viewer
+from objectflow.view.viewer_frames import Moment
 
 chunk = pytest.importorskip("rerun.chunk", reason="rerun is not installed (extra `view`)")
 

@@ -10,15 +10,16 @@ import torch
 
 from analytic import AnalyticPair, make_scene
 from objectflow import geometry
-from objectflow.dataset import variations
+from objectflow.dataset import transforms
 from objectflow.dataset.augment import AugmentSettings, augment, network_inputs
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.schema import PairObject, PairRow
 from objectflow.dataset.targets import ObjectTable, make_targets
-from objectflow.dataset.warp import warp_errors
+from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
-from objectflow.frame import Camera, RgbdFrame
-from objectflow.networks.outputs import scene_flow
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.networks.sceneflownet.outputs import scene_flow
 
 SEEDS = (3, 5, 8)
 EVERY = torch.ones(len(SEEDS), dtype=torch.bool)
@@ -96,12 +97,12 @@ def quality(batch: Batch) -> tuple[float, float, float, int]:
 
 def variation(name: str, batch: Batch) -> Batch:
     if name == "flip":
-        return variations.flip(batch, EVERY)
+        return transforms.flip(batch, EVERY)
     if name == "swap":
-        return variations.swap(batch, EVERY)
+        return transforms.swap(batch, EVERY)
     if name == "crop":
         place = torch.tensor([[0.2, 0.9], [0.5, 0.5], [1.0, 0.0]])
-        return variations.crop(batch, torch.tensor([1.3, 1.17, 1.05]), place)
+        return transforms.crop(batch, torch.tensor([1.3, 1.17, 1.05]), place)
     settings = AugmentSettings(flip=1, swap=1, zoom=1.3, brightness=0, contrast=0, saturation=0, hue=0)
     return augment(batch, settings, torch.Generator().manual_seed(0))
 
@@ -119,7 +120,7 @@ def test_motions_still_take_current_points_to_previous_ones(batch: Batch, name: 
 
 def test_one_sign_wrong_would_show(batch: Batch) -> None:
     """The judge of the test above can tell."""
-    flipped = variations.flip(batch, EVERY)
+    flipped = transforms.flip(batch, EVERY)
     wrong = dataclasses.replace(flipped.table, rotation=-flipped.table.rotation)
     assert quality(dataclasses.replace(flipped, table=wrong))[1] > 5e-3
     cropped = variation("crop", batch)
@@ -140,7 +141,7 @@ def test_twice_is_as_before(batch: Batch, name: str) -> None:
 
 def test_only_the_chosen_pairs_change(batch: Batch) -> None:
     which = torch.tensor([False, True, False])
-    for change in (variations.flip, variations.swap):
+    for change in (transforms.flip, transforms.swap):
         changed = change(batch, which)
         assert torch.equal(changed.prev_depth[::2], batch.prev_depth[::2])
         assert torch.equal(changed.table.center[::2], batch.table.center[::2])
@@ -157,14 +158,14 @@ def test_a_crop_mixes_no_depths_and_forgets_what_left(batch: Batch) -> None:
     table = ObjectTable(torch.tensor([[1, 2]]), *torch.rand(3, 1, 2, 3), torch.ones(1, 2, dtype=torch.bool))
     color = torch.zeros(1, 3, 40, 60, dtype=torch.uint8)
     scene = Batch(("a",), color, color, depth, depth, labels, labels * (labels < 2), torch.ones(1, 4), table)
-    part = variations.crop(scene, torch.tensor([1.37]), torch.tensor([[1.0, 1.0]]))
+    part = transforms.crop(scene, torch.tensor([1.37]), torch.tensor([[1.0, 1.0]]))
     values = torch.tensor([0.0, 0.5, 0.6, 0.9])
     assert float((part.prev_depth[..., None] - values).abs().amin(-1).max()) < 1e-6
     fronts = (part.prev_depth < 0.7) & (part.prev_depth > 0)
     assert torch.equal(fronts, part.prev_labels > 0)
     assert part.table.label.tolist() == [[1, 2]]
     assert part.table.in_both.tolist() == [[True, False]]
-    away = variations.crop(scene, torch.tensor([2.0]), torch.tensor([[0.0, 0.0]]))
+    away = transforms.crop(scene, torch.tensor([2.0]), torch.tensor([[0.0, 0.0]]))
     assert away.table.label.tolist() == [[1, 0]]
     make_targets(away.table, away.curr_labels, torch.ones(1, 3, 40, 60))
 
@@ -240,7 +241,7 @@ def test_recoloring_does_as_named() -> None:
     one = Batch(("a",), color, color, empty, empty, empty.int(), empty.int(), torch.ones(1, 4), table)
 
     def recolored(*amounts: float) -> torch.Tensor:
-        return variations.recolor(one, torch.tensor([[amounts, amounts]])).curr_color.float()
+        return transforms.recolor(one, torch.tensor([[amounts, amounts]])).curr_color.float()
 
     before = color.float()
     torch.testing.assert_close(recolored(0.2, 0, 0, 0), before * 1.2)
@@ -286,7 +287,7 @@ def test_the_camera_is_mirrored_and_turned_back_with_the_scene(batch: Batch) -> 
     curr = torch.tensor([0.1, -0.2, 0.7, 1.0])
     prev = batch.camera_motion[0] @ curr
     mirror = torch.tensor([-1.0, 1, 1, 1])
-    flipped, swapped = variations.flip(batch, EVERY), variations.swap(batch, EVERY)
+    flipped, swapped = transforms.flip(batch, EVERY), transforms.swap(batch, EVERY)
     assert flipped.camera_motion is not None
     assert swapped.camera_motion is not None
     torch.testing.assert_close(flipped.camera_motion[0] @ (mirror * curr), mirror * prev)

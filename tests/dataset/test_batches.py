@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.pair_sets import CAMERA, random_pair, without_objects, write_pairs
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import Shards, open_pairs
 from objectflow.dataset.targets import ObjectTable
 from objectflow.errors import DatasetError
-from objectflow.frame import Camera
-from pair_sets import CAMERA, random_pair, without_objects, write_pairs
+from objectflow.geometry.camera import Camera
 
 OBJECTS = (2, 0, 3, 1, 5)
 """Of every fifth row; label 3 is not seen in both frames."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.small_sets import make_frame
 from objectflow import geometry
 from objectflow.dataset import manifest as manifests
 from objectflow.dataset.check import CheckReport, Histogram, add_pair, check, contradictions
@@ -16,11 +17,12 @@ from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import FrameObject, PairRow, SequenceRow
 from objectflow.dataset.shards import write_shard
 from objectflow.dataset.show import draw_frames, draw_pair
-from objectflow.dataset.warp import warp_errors
+from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
-from objectflow.frame import Camera, RgbdFrame
-from objectflow.synth.model import SymmetryAxis
-from small_sets import make_frame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage import files
 
 CAMERA = Camera(width=80, height=60, fx=59.0, fy=59.0, cx=39.5, cy=29.5)
 RADIUS = 0.08
@@ -144,7 +146,7 @@ def test_histogram_against_numpy() -> None:
 def write_sequence(folder: Path, frames: list[SequenceRow]) -> None:
     path = folder / manifests.shard_name("test-sequences", 0, 1)
     write_shard(path, [row.to_dict() for row in frames], "sequences", {})
-    shard = Shard(path.name, len(frames), path.stat().st_size, manifests.hash_file(path))
+    shard = Shard(path.name, len(frames), path.stat().st_size, files.hash_file(path))
     part = Part("sequences", "test", len(frames), 1, 1, {"sinks": 2}, (shard,))
     Manifest(0, {}, {"test-sequences": part}, "0").write(folder)
 

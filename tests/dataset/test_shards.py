@@ -16,8 +16,10 @@ from objectflow.dataset.manifest import Manifest, Part, Shard
 from objectflow.dataset.schema import DEPTH_SCALE, FrameObject, PairObject, PairRow, SequenceRow
 from objectflow.dataset.shards import open_pairs, open_sequences, read_metadata, write_shard
 from objectflow.errors import DatasetError
-from objectflow.frame import Camera, RgbdFrame
-from objectflow.synth.model import SymmetryAxis
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage import files
 
 CAMERA = Camera(width=16, height=12, fx=11.8, fy=11.8, cx=7.5, cy=5.5)
 
@@ -63,7 +65,7 @@ def write_set(folder: Path, counts: tuple[int, ...] = (10, 7)) -> Manifest:
     for i, count in enumerate(counts):
         path = folder / manifests.shard_name("train", i, len(counts))
         write_shard(path, [make_pair(number + j).to_dict() for j in range(count)], "pairs", {"shard": i})
-        shards.append(Shard(path.name, count, path.stat().st_size, manifests.hash_file(path)))
+        shards.append(Shard(path.name, count, path.stat().st_size, files.hash_file(path)))
         number += count
     part = Part("pairs", "train", number, number, 1, {}, tuple(shards))
     manifest = Manifest(seed=3, settings={"preset": "test"}, parts={"train": part}, objectflow="0")
@@ -152,7 +154,7 @@ def test_sequences_come_back(tmp_path: Path) -> None:
     rows = [SequenceRow("test-000000", number, frame, labels, (obj,)) for number in (20, 30)]
     path = tmp_path / manifests.shard_name("test-sequences", 0, 1)
     write_shard(path, [row.to_dict() for row in rows], "sequences", {})
-    shard = Shard(path.name, 2, path.stat().st_size, manifests.hash_file(path))
+    shard = Shard(path.name, 2, path.stat().st_size, files.hash_file(path))
     Manifest(0, {}, {"test-sequences": Part("sequences", "test", 2, 1, 1, {}, (shard,))}, "0").write(tmp_path)
     read = open_sequences(tmp_path, "test")
     assert read.keys() == ["test-000000/20", "test-000000/30"]

@@ -10,13 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import analytic
+from helpers.paths import SHARED
 from objectflow import cli
 from objectflow.diagnosis import examine
 from objectflow.diagnosis.registration import estimate_offset
 from objectflow.frame import RgbdFrame
 from objectflow.readers import CameraOptions, open_source
 
-DATA = Path(__file__).resolve().parents[2] / ".." / "shared" / "data"
+DATA = SHARED / "data"
 
 
 def pair(seed: int = 17) -> analytic.AnalyticPair:

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import small_sets
+from helpers import small_sets
 from objectflow import geometry
 from objectflow.errors import DatasetError, MethodError, ResultError
-from objectflow.estimator import METHODS, MethodEntry
 from objectflow.evaluation.cache import read_prediction
+from objectflow.evaluation.data.sources import PairSet, open_set
 from objectflow.evaluation.methods import parse_methods
 from objectflow.evaluation.predict import Progress, predict
 from objectflow.evaluation.results import Evaluation
 from objectflow.evaluation.score import NOT_CACHED, CachedPairs, score
-from objectflow.evaluation.sources import PairSet, open_set
 from objectflow.frame import RgbdFrame
+from objectflow.methods.registry import METHODS, MethodEntry
 from objectflow.motion import ObjectMotion, SceneMotion
 
 CALLS: list[str] = []

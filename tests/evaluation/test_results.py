@@ -11,15 +11,16 @@ import pytest
 
 from objectflow import geometry
 from objectflow.errors import DatasetError
-from objectflow.evaluation.flow_metrics import FlowScore, PixelScore
-from objectflow.evaluation.object_metrics import ObjectError
-from objectflow.evaluation.pair_score import PairScore
-from objectflow.evaluation.region_score import RegionScore, score_regions
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.evaluation.metrics.flow_metrics import FlowScore, PixelScore
+from objectflow.evaluation.metrics.object_metrics import ObjectError
+from objectflow.evaluation.metrics.pair_score import PairScore
+from objectflow.evaluation.metrics.region_scores import RegionScore, score_regions
+from objectflow.evaluation.metrics.segmentation_metrics import PRF, Match, SegmentationScore
 from objectflow.evaluation.results import Evaluation, Failure, MethodResult, PairFacts, facts_of
-from objectflow.evaluation.segmentation_metrics import PRF, Match, SegmentationScore
-from objectflow.evaluation.summary import summarise
-from objectflow.evaluation.truth import PairTruth, TrueObject, make_truth
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.evaluation.tables.summary import summarise
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 NAN = math.nan
 

@@ -10,16 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.paths import ROOT
 from objectflow.cli import main
 from objectflow.errors import ReaderError
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.live import Latest, follow, replay
 from objectflow.motion import SceneMotion
 from objectflow.readers import FramePaths, FrameSequence
-from objectflow.tracking import Tracker, TrackerSettings
+from objectflow.tracking.tracker import Tracker, TrackerSettings
 
 CAMERA = Camera(16, 12, 20.0, 20.0, 7.5, 5.5)
-PAIR = Path(__file__).resolve().parents[2] / "src" / "objectflow" / "demo" / "pair"
+PAIR = ROOT / "src" / "objectflow" / "demo" / "pair"
 
 
 def frame(number: int, period: float = 0.1) -> RgbdFrame:

@@ -13,11 +13,11 @@ import pytest
 import safetensors.torch
 import torch
 
+from helpers.small_networks import TINY_RIGID
 from objectflow.errors import MethodError, StorageError
 from objectflow.networks import NetworkSettings, SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
 from objectflow.networks.weights import load_network, load_weights, read_header, save_weights
-from small_networks import TINY_RIGID
 
 TINY = dataclasses.replace(NetworkSettings().scaled(0.125), reach=1, trunk_blocks=(1, 1))
 METADATA = {"variant": "sceneflownet-c", "size": [48, 64], "metrics": {"epe": 0.0125, "f": None}, "seconds": 3.5}

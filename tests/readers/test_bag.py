@@ -8,12 +8,13 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from bags import COLOR, DEPTH, INFO, BagBuilder, Kind, compressed_depth, write_frames
 
 import analytic
+from helpers.bags import COLOR, DEPTH, INFO, BagBuilder, Kind, compressed_depth, write_frames
 from objectflow.cli import main
 from objectflow.errors import ReaderError
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.readers import CameraOptions, CutOffWarning, open_source
 
 KINDS: tuple[Kind, ...] = get_args(Kind)

@@ -11,7 +11,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from objectflow.errors import ObjectflowError
-from objectflow.frame import Camera, RgbdFrame, check_pair
+from objectflow.frame import RgbdFrame, check_pair
+from objectflow.geometry.camera import Camera
 
 CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0)
 dtypes = st.sampled_from([np.uint8, np.uint16, np.int32, np.float16, np.float32, np.float64, np.complex64, np.bool_])

@@ -16,19 +16,19 @@ import numpy as np
 import pytest
 import torch
 
-import training_runs
+from helpers import training_runs
+from helpers.training_runs import NETWORK, PLAIN, RECIPE, job, write_set
 from objectflow.dataset.batches import Batches
 from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import DatasetError, TrainingError
 from objectflow.networks.weights import load_weights
-from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import build_network, compiled
-from objectflow.training.feeding import on_device
+from objectflow.training.callbacks import Watch
+from objectflow.training.ema import AveragedWeights
 from objectflow.training.loop import Job, train
 from objectflow.training.parallel import Process
-from objectflow.training.watch import Watch
-from training_runs import NETWORK, PLAIN, RECIPE, job, write_set
+from objectflow.training.prefetch import on_device
+from objectflow.training.setup import build_network, compiled
 
 ALONE = Process(0, 1, torch.device("cpu"))
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import torch
 
-import training_runs
+from helpers import training_runs
+from helpers.training_runs import RECIPE, job, tensors_of, write_set
 from objectflow.errors import TrainingError
+from objectflow.training.callbacks import Watch
 from objectflow.training.loop import train
-from objectflow.training.watch import Watch
-from training_runs import RECIPE, job, tensors_of, write_set
 
 
 class StopAt(Watch):

@@ -10,7 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.view import draw_flow, draw_overlay, write_pictures
 from objectflow.view.colors import NO_DEPTH, diverging, object_color, wheel

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_set import MemorySource, estimate_noisy, make_set
 
-from objectflow import files
+from helpers.report_set import MemorySource, estimate_noisy, make_set
 from objectflow.errors import ResultError, StorageError
-from objectflow.evaluation.tables import make_tables
+from objectflow.evaluation.tables.tables import make_tables
+from objectflow.storage import files
 from objectflow.view.report import write_report
 from objectflow.view.report_page.choice import choose_pairs, rank_pairs
 from objectflow.view.report_page.packing import NO_FLOW, millimetres, pack_words

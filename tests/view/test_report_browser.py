@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from browser import Page, chromium, find_chromium
-from report_set import make_set
 
+from browser import Page, chromium, find_chromium
+from helpers.report_set import make_set
 from objectflow.view.report import write_report
 
 PIXELS = """(() => {

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browser import chromium, find_chromium
 from numpy.typing import NDArray
-from report_set import make_pair
 
+from browser import chromium, find_chromium
+from helpers.report_set import make_pair
 from objectflow.view import colors
 from objectflow.view.report_page.pair_block import TRUTH, make_pair_block
 

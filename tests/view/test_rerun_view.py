@@ -16,10 +16,10 @@ import pytest
 
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking import Tracker
+from objectflow.tracking.tracker import Tracker
 from objectflow.view.colors import object_color
-from objectflow.view.moments import NO_TRACK, Moment, pair_moments, tracked_moments
 from objectflow.view.viewer import NoViewer, open_viewer
+from objectflow.view.viewer_frames import NO_TRACK, Moment, pair_moments, tracked_moments
 
 CAMERA = Camera(width=32, height=24, fx=30.0, fy=30.0, cx=15.5, cy=11.5)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from browser import chromium, find_chromium
 from numpy.typing import NDArray
 
+from browser import chromium, find_chromium
 from objectflow import geometry
 from objectflow.cli.demo import Truth
 from objectflow.motion import ObjectMotion, SceneMotion

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from objectflow.errors import ReaderError
-from objectflow.estimator import DEFAULT_METHOD, Estimator, load
+from objectflow.methods.base import Estimator
+from objectflow.methods.registry import DEFAULT_METHOD, load
 from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
 from objectflow.view.viewer import Viewer, open_viewer
 

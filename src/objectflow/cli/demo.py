@@ -17,8 +17,8 @@ from objectflow import geometry
 from objectflow.cli.arguments import option
 from objectflow.cli.output import new_result, print_objects, write_result
 from objectflow.errors import ReaderError
-from objectflow.estimator import DEFAULT_METHOD, load
 from objectflow.frame import RgbdFrame
+from objectflow.methods.registry import DEFAULT_METHOD, load
 from objectflow.motion import SceneMotion
 from objectflow.readers import open_pair
 

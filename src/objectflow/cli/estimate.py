@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from objectflow.cli.arguments import MethodArguments, ViewArguments, open_two, option
 from objectflow.cli.output import new_result, print_objects, quiet_libraries, write_result
 from objectflow.frame import check_pair
-from objectflow.view.moments import pair_moments
+from objectflow.view.viewer_frames import pair_moments
 
 EXAMPLES = """\
   objectflow estimate PAIR_DIR

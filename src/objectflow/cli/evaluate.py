@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from objectflow import files
 from objectflow.cli.arguments import option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file
 from objectflow.errors import DatasetError, MethodError, ResultError
+from objectflow.evaluation.data.sources import PairSet, SequenceUse, open_set
 from objectflow.evaluation.methods import parse_methods
 from objectflow.evaluation.predict import FOLDER, Progress, predict
 from objectflow.evaluation.results import Evaluation
 from objectflow.evaluation.score import CachedPairs, score
-from objectflow.evaluation.sources import PairSet, SequenceUse, open_set
-from objectflow.evaluation.table_text import print_tables, to_csv, to_json, to_markdown
-from objectflow.evaluation.tables import Tables, make_tables
+from objectflow.evaluation.tables.table_text import print_tables, to_csv, to_json, to_markdown
+from objectflow.evaluation.tables.tables import Tables, make_tables
+from objectflow.storage import files
 
 EXAMPLES = """\
   objectflow evaluate --data tiny --methods zero dense-flow consensus oracle-masks oracle-motion
@@ -89,7 +89,7 @@ class Evaluate:
             self.data, split=self.split, sequences=self._sequences(), translation_only=self.translation_only
         )
         if self.sensor is not None:
-            from objectflow.evaluation.noisy import NoisyPairs
+            from objectflow.evaluation.data.noisy import NoisyPairs
 
             pairs = NoisyPairs(pairs, self.sensor)
         keys = pairs.keys[: self._limit()]

@@ -35,9 +35,9 @@ class Export:
 
     def run(self) -> None:
         """Load, export, compare, write."""
-        from objectflow.export import OPSET, export_onnx
-        from objectflow.find_weights import find_weights
-        from objectflow.learned import trained_size
+        from objectflow.methods.find_weights import find_weights
+        from objectflow.methods.network_io import trained_size
+        from objectflow.networks.export import OPSET, export_onnx
         from objectflow.networks.weights import load_network
 
         path = find_weights(self.method, self.weights)

@@ -84,12 +84,12 @@ class Generate:
 
     def run(self) -> None:
         """Make the shards that are missing, with a progress bar."""
-        from objectflow.synth.generate import Job, generate
-        from objectflow.synth.maker import Scenes
-        from objectflow.synth.mixed_library import Meshes
-        from objectflow.synth.physics import SEQUENCE_FRAMES
-        from objectflow.synth.wild_maker import WildScenes
-        from objectflow.synth.wild_scene import WildSettings
+        from objectflow.synth.generation.clutter_maker import WildScenes
+        from objectflow.synth.generation.generate import Job, generate
+        from objectflow.synth.generation.paper_maker import Scenes
+        from objectflow.synth.objects.mixed_library import Meshes
+        from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
+        from objectflow.synth.scenes.clutter_scene import WildSettings
 
         if self.pairs < 1 and self.sequences < 1:
             raise DatasetError("nothing to generate: give --pairs N or --sequences N")
@@ -159,10 +159,10 @@ class Generate:
             console.print(f"{self.out}: {name}: {part.rows} rows in {len(part.shards)} shards; drawn anew: {redrawn}")
 
     def _pool(self, scenes: Any) -> Any:
-        from objectflow.synth.workers import InProcess, Processes
+        from objectflow.runtime.pool import InProcess, Processes
 
         if self.ray is not None:
-            from objectflow.synth.ray_workers import RayActors
+            from objectflow.runtime.ray_pool import RayActors
 
             return RayActors(scenes, self.ray, self.workers, cuda=self.device == "cuda")
         return InProcess(scenes) if self.workers == 1 else Processes(scenes, self.workers)
@@ -207,8 +207,8 @@ def preset_settings(name: str) -> Any:
     Raises:
         DatasetError: an unknown name.
     """
-    from objectflow.synth.scene import SceneSettings
-    from objectflow.synth.wild_scene import SCENE
+    from objectflow.synth.scenes.clutter_scene import SCENE
+    from objectflow.synth.scenes.paper_scene import SceneSettings
 
     presets = {
         "paper": SceneSettings(),

@@ -56,7 +56,7 @@ def _version(name: str) -> str | None:
 
 def _weights() -> list[str]:
     from objectflow.errors import MethodError
-    from objectflow.find_weights import packaged_weights
+    from objectflow.methods.find_weights import packaged_weights
     from objectflow.networks.weights import read_header
 
     found = []

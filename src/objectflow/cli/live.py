@@ -13,16 +13,17 @@ from typing import Annotated
 import numpy as np
 from tyro.conf import Positional
 
-from objectflow import files, geometry
+from objectflow import geometry
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import check_not_below_a_file, quiet_libraries
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.live import Latest, Step, follow, replay
 from objectflow.readers import open_source
-from objectflow.track_files import write_tracks
-from objectflow.tracking import Tracker, TrackerSettings
-from objectflow.view.moments import tracked_moments
+from objectflow.storage import files
+from objectflow.tracking.tracker import Tracker, TrackerSettings
+from objectflow.tracking.trajectory_files import write_tracks
+from objectflow.view.viewer_frames import tracked_moments
 
 EXAMPLES = """\
   objectflow live realsense

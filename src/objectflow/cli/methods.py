@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rich.console import Console
 from rich.table import Table
 
-from objectflow.estimator import DEFAULT_METHOD, METHODS
+from objectflow.methods.registry import DEFAULT_METHOD, METHODS
 
 EXAMPLES = "  objectflow methods\n"
 

@@ -14,10 +14,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from objectflow import files
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.storage import files
 
 OUTPUT_ROOT = Path("objectflow_out")
 RESULT_FILES = frozenset({"labels.png", "scene_flow.npy", "objects.json", "overlay.png", "flow.png"})

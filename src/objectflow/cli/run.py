@@ -22,18 +22,19 @@ from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import Positional
 
-from objectflow import __version__, files
+from objectflow import __version__
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
-from objectflow.dataset.manifest import hash_file
 from objectflow.errors import ReaderError, ResultError, StorageError
-from objectflow.estimator import Estimator
 from objectflow.frame import check_pair
+from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource, open_source
-from objectflow.track_files import TRACKS, TRAJECTORIES, write_tracks
-from objectflow.tracking import Tracker
-from objectflow.view.moments import RunMoments
+from objectflow.storage import files
+from objectflow.storage.files import hash_file
+from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
+from objectflow.view.viewer_frames import RunMoments
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1

@@ -9,12 +9,12 @@ from typing import Annotated
 import cv2
 from tyro.conf import Positional
 
-from objectflow import files
 from objectflow.cli.arguments import option
 from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs, open_sequences
 from objectflow.dataset.show import draw_frames, draw_pair
 from objectflow.errors import DatasetError
+from objectflow.storage import files
 
 EXAMPLES = """\
   objectflow show data --key train-000012
@@ -47,7 +47,7 @@ class Show:
                     picture = draw_pair(pairs[keys.index(self.key)])
             else:
                 frames = open_sequences(self.data, part.split)
-                sequences = [key.split("/")[0] for key in frames.keys()]  # noqa: SIM118
+                sequences = [key.split("/")[0] for key in frames.keys()]  # noqa: SIM118 - not a mapping
                 known += dict.fromkeys(sequences)
                 if self.key in sequences and picture is None:
                     picture = draw_frames([frames[i] for i, name in enumerate(sequences) if name == self.key])

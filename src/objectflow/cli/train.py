@@ -64,10 +64,10 @@ class Train:
 
     def run(self) -> None:
         """Train, and say how it went on."""
+        from objectflow.training.callbacks import Several, TensorBoard, Terminal
         from objectflow.training.loop import Job, train
         from objectflow.training.parallel import is_first
         from objectflow.training.run_folder import WEIGHTS
-        from objectflow.training.watch import Several, TensorBoard, Terminal
 
         find_recipe(self.recipe)
         out = self.out or OUTPUT_ROOT / f"train-{self.settings.variant}-{self.recipe}"

@@ -19,8 +19,8 @@ from objectflow.cli.output import quiet_libraries
 from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
-from objectflow.view.moments import Moment, RunMoments, pair_moments
 from objectflow.view.viewer import open_viewer
+from objectflow.view.viewer_frames import Moment, RunMoments, pair_moments
 
 EXAMPLES = """\
   objectflow view result --frames PAIR_DIR
@@ -140,7 +140,7 @@ class View(CameraArguments):
         # pyarrow takes its time, and only data sets need it.
         from objectflow.dataset.manifest import Manifest
         from objectflow.dataset.shards import open_pairs, open_sequences
-        from objectflow.view.truth_moments import row_moments, sequence_moments
+        from objectflow.view.truth_frames import row_moments, sequence_moments
 
         known = list[str]()
         for part in Manifest.read(self.path).parts.values():
@@ -154,7 +154,7 @@ class View(CameraArguments):
                     return partial(row_moments, pairs[keys.index(key)])
             else:
                 frames = open_sequences(self.path, part.split)
-                names = [name.split("/")[0] for name in frames.keys()]  # noqa: SIM118
+                names = [name.split("/")[0] for name in frames.keys()]  # noqa: SIM118 - not a mapping
                 known += dict.fromkeys(names)
                 key = self.key or names[0]
                 if key in names:

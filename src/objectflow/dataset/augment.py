@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from objectflow.dataset.batches import Batch
-from objectflow.dataset.variations import crop, flip, recolor, swap
+from objectflow.dataset.transforms import crop, flip, recolor, swap
 from objectflow.errors import DatasetError
-from objectflow.synth.sensor import SENSORS, ColorSensor, observe_color, observe_depth, scaled
-from objectflow.torch_geometry import back_project
+from objectflow.geometry.torch_pinhole import back_project
+from objectflow.sensors.sensor import SENSORS, ColorSensor, observe_color, observe_depth, scaled
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from objectflow.dataset import manifest as manifests
-from objectflow.dataset.joined import Pairs
+from objectflow.dataset.concatenated import Pairs
 from objectflow.dataset.records import RecordReader, Records
 from objectflow.dataset.targets import ObjectTable
 from objectflow.errors import DatasetError
-from objectflow.frame import Camera
+from objectflow.geometry.camera import Camera
+from objectflow.storage import files
 
 CACHE_BYTES = 2 << 30
 
@@ -239,7 +240,7 @@ def _tensor(array: NDArray[Any]) -> Tensor:
 
 def _verify(pairs: Pairs, rank: int, world_size: int) -> None:
     for path, sha256 in pairs.files()[rank::world_size]:
-        if manifests.hash_file(path) != sha256:
+        if files.hash_file(path) != sha256:
             raise DatasetError(f"{path}: its hash is not the one in {manifests.FILE}: copy the file again")
 
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.dataset import manifest as manifests
 from objectflow.dataset.manifest import Manifest, Part
-from objectflow.dataset.movers import moving_labels
+from objectflow.dataset.moving_objects import moving_labels
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.dataset.shards import Shards
-from objectflow.dataset.warp import warp_errors
+from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
 
 WORST = 5
@@ -90,7 +90,7 @@ class CheckReport:
         objects: objects a pair; visible: each object's pixels in the current frame.
         displacement_cm, rotation_deg, raw_rotation_deg: of objects seen in both frames; where rows know the camera's
             motion, of those that move, before the camera.
-        movers: objects a pair that move, where rows know the camera's motion (`objectflow.dataset.movers`).
+        movers: objects a pair that move, where rows know the camera's motion (`objectflow.dataset.moving_objects`).
         motionless, moving_cameras: how many of those pairs show no motion, and how many a moving camera's.
         symmetric: how many objects have an axis of symmetry, of `objects_total`.
         worst: the objects with the largest median depth error.

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from objectflow import files
 from objectflow.errors import DatasetError, StorageError
+from objectflow.storage import files
+from objectflow.storage.files import hash_file
 
 FILE = "manifest.json"
 VERSION = 1
@@ -124,25 +125,6 @@ def shard_name(part: str, number: int, total: int) -> str:
     return f"{part}-{number:05d}-of-{total:05d}.parquet"
 
 
-def hash_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal.
-
-    Raises:
-        DatasetError: no such file.
-        StorageError: the disk refused.
-    """
-    try:
-        digest = hashlib.sha256()
-        with open(path, "rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-        return digest.hexdigest()
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
-
-
 def verify(folder: Path, manifest: Manifest) -> int:
     """Compare every shard's bytes with the manifest; the number of shards.
 
@@ -159,3 +141,8 @@ def verify(folder: Path, manifest: Manifest) -> int:
                 )
             count += 1
     return count
+
+
+def hash_part(part: Part) -> str:
+    """A hash of one part of a generated set: of its shards' hashes, so that other parts may be added."""
+    return hashlib.sha256("\n".join(shard.sha256 for shard in part.shards).encode()).hexdigest()

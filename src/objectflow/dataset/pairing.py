@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.dataset.schema import FrameObject, PairObject, PairRow, SequenceRow
 from objectflow.errors import DatasetError
-from objectflow.synth.symmetry import reduce_motion
+from objectflow.geometry.symmetry import reduce_motion
 
 
 def pair_objects(

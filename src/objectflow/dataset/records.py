@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.dataset.joined import Pairs
-from objectflow.dataset.movers import keep_labels, without_still
+from objectflow.dataset.concatenated import Pairs
+from objectflow.dataset.moving_objects import keep_labels, without_still
 from objectflow.errors import CameraError, DatasetError
-from objectflow.frame import Camera
+from objectflow.geometry.camera import Camera
 
 MOST_OBJECTS = 255
 """Of a row: labels are stored in 8 bits."""

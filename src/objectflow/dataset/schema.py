@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import DatasetError, ObjectflowError
-from objectflow.frame import Camera, RgbdFrame
-from objectflow.synth.model import SymmetryAxis
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.symmetry import SymmetryAxis
 
 Array = NDArray[np.float64]
 
@@ -49,7 +50,7 @@ class PairObject:
     curr_pose: Array
     in_both: bool
 
-    def prev_T_curr(self, *, raw: bool = False) -> Array:  # noqa: N802
+    def prev_T_curr(self, *, raw: bool = False) -> Array:
         """(4, 4) the object's motion back in time, with the reduced or the raw rotation."""
         R = geometry.so3_exp(self.raw_rotation_vector if raw else self.rotation_vector)
         return geometry.make_transform(R, self.center + self.translation - R @ self.center)
@@ -131,8 +132,9 @@ class PairRow:
         prev_labels, curr_labels: (H, W) int32, 0 = background.
         objects: in order of label.
         camera_motion: (4, 4) `prev_T_curr` of everything that stands still, the identity before a camera that does
-            too. Where it is given, objects that move with it are background (see `objectflow.dataset.movers`); None,
-            as in the paper's data: the camera is still, and every object counts.
+            too. Where it is given, objects that move with it are background (see
+            `objectflow.dataset.moving_objects`); None, as in the paper's data: the camera is still, and every
+            object counts.
     """
 
     key: str

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, Literal
 
-from objectflow import files
 from objectflow.dataset.manifest import Kind, Manifest, Part, part_name
 from objectflow.dataset.schema import PairRow, Row, SequenceRow
 from objectflow.errors import DatasetError, MissingExtraError, StorageError
+from objectflow.storage import files
 
 try:
     import pyarrow as pa

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.dataset.movers import keep_labels, moving_labels
+from objectflow.dataset.moving_objects import keep_labels, moving_labels
 from objectflow.dataset.schema import PairRow, SequenceRow
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 Image = NDArray[np.uint8]
 

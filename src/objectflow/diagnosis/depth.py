@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.diagnosis.finding import Finding
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 Array = NDArray[np.float64]
 

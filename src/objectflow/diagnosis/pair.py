@@ -7,14 +7,16 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import correspondence, geometry, moving_camera
+from objectflow import geometry
+from objectflow.alignment import matching
+from objectflow.alignment.frame_pair import Readied
 from objectflow.diagnosis import depth as depth_checks
 from objectflow.diagnosis.finding import Finding
 from objectflow.diagnosis.registration import alignment, estimate_offset
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.noise import depth_sigma
-from objectflow.readied import Readied
+from objectflow.geometry.depth_noise import depth_sigma
+from objectflow.methods import moving_camera
 
 Array = NDArray[np.float64]
 
@@ -144,7 +146,7 @@ def _motion(prev: RgbdFrame, curr: RgbdFrame, prev_T_curr: Array | None) -> list
     sigma = depth_sigma(curr.depth)
     changed = both & (np.abs(seen.depth - curr.depth) > 4 * sigma + 0.004)
     share = float(changed.sum()) / max(1, int(both.sum()))
-    _, consistent = correspondence.dense_flow(correspondence.gray(seen.color), correspondence.gray(curr.color))
+    _, consistent = matching.dense_flow(matching.gray(seen.color), matching.gray(curr.color))
     followed = float(consistent[both].mean()) if both.any() else 0.0
     text = f"depth changed on {share:.1%} of the pixels; optical flow follows {followed:.0%} of them"
     if followed < 0.4:

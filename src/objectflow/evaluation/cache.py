@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import files
 from objectflow.errors import DatasetError, ObjectflowError, ResultError, StorageError
-from objectflow.evaluation.archives import BROKEN, read_archive
+from objectflow.evaluation.data.archives import BROKEN, read_archive
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.storage import files
 
 SETTINGS = "settings.json"
 STEP = 1e-4

@@ -10,16 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, cast, runtime_checkable
 
-from objectflow.dataset.manifest import hash_file
 from objectflow.errors import MethodError
-from objectflow.estimator import METHODS, Estimator, check_camera_option, load
-from objectflow.evaluation.oracle import OracleMasks
-from objectflow.evaluation.oracle_motion import OracleMotion
-from objectflow.evaluation.plain import to_plain
-from objectflow.evaluation.truth import PairTruth
+from objectflow.evaluation.data.truth import PairTruth
+from objectflow.evaluation.oracles.oracle_masks import OracleMasks
+from objectflow.evaluation.oracles.oracle_motion import OracleMotion
 from objectflow.frame import RgbdFrame
+from objectflow.methods.base import Estimator, check_camera_option
+from objectflow.methods.moving_camera import MovingCamera
+from objectflow.methods.registry import METHODS, load
 from objectflow.motion import SceneMotion
-from objectflow.moving_camera import MovingCamera
+from objectflow.storage.files import hash_file
+from objectflow.storage.serialize import to_plain
 
 ORACLES: dict[str, str] = {
     "oracle-masks": "true masks with our rigid fit",

@@ -12,16 +12,16 @@ from typing import Any
 
 from objectflow import __version__
 from objectflow.errors import ObjectflowError
-from objectflow.estimator import Estimator
 from objectflow.evaluation.cache import MethodCache, encode
+from objectflow.evaluation.data.sources import PairSet, Window
+from objectflow.evaluation.data.truth import PairTruth
 from objectflow.evaluation.methods import MethodSpec, SequenceEstimator
 from objectflow.evaluation.results import EvaluationPair
 from objectflow.evaluation.runtime import machine_name
-from objectflow.evaluation.sources import PairSet, Window
-from objectflow.evaluation.truth import PairTruth
-from objectflow.evaluation.workers import Workers, check_workers
 from objectflow.frame import RgbdFrame
+from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
+from objectflow.runtime.make_pool import Workers, check_workers
 
 FOLDER = "predictions"
 FORMAT = 1

@@ -12,14 +12,15 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import files, geometry
+from objectflow import geometry
 from objectflow.errors import DatasetError, StorageError
-from objectflow.evaluation.pair_score import PairScore
-from objectflow.evaluation.plain import from_plain, to_plain
-from objectflow.evaluation.summary import Summary
-from objectflow.evaluation.truth import PairTruth
+from objectflow.evaluation.data.truth import PairTruth
+from objectflow.evaluation.metrics.pair_score import PairScore
+from objectflow.evaluation.tables.summary import Summary
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.storage import files
+from objectflow.storage.serialize import from_plain, to_plain
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ import numpy as np
 from objectflow import __version__
 from objectflow.errors import DatasetError
 from objectflow.evaluation.cache import MethodCache, Prediction
+from objectflow.evaluation.data.sources import PairSet
 from objectflow.evaluation.methods import MethodSpec
-from objectflow.evaluation.pair_score import PairScore, score_pair
+from objectflow.evaluation.metrics.pair_score import PairScore, score_pair
 from objectflow.evaluation.predict import FOLDER
 from objectflow.evaluation.results import Evaluation, EvaluationPair, Failure, MethodResult, facts_of
 from objectflow.evaluation.runtime import machine_name, summarise_runtime
-from objectflow.evaluation.sources import PairSet
-from objectflow.evaluation.summary import Summary, summarise
+from objectflow.evaluation.tables.summary import Summary, summarise
 from objectflow.motion import SceneMotion
 
 SEED = 0

@@ -1,8 +1,8 @@
 """The paper's networks as pure torch modules: no data set, no NumPy, no files but weights."""
 
-from objectflow.networks.backbone import load_backbone
-from objectflow.networks.outputs import DenseMotion, scene_flow
-from objectflow.networks.sceneflownet import SceneFlowNet
-from objectflow.networks.settings import NetworkSettings
+from objectflow.networks.sceneflownet.backbone import load_backbone
+from objectflow.networks.sceneflownet.network import SceneFlowNet
+from objectflow.networks.sceneflownet.outputs import DenseMotion, scene_flow
+from objectflow.networks.sceneflownet.settings import NetworkSettings
 
 __all__ = ["DenseMotion", "NetworkSettings", "SceneFlowNet", "load_backbone", "scene_flow"]

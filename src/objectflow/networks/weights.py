@@ -13,11 +13,11 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from objectflow import files
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
-from objectflow.networks.sceneflownet import SceneFlowNet
-from objectflow.networks.settings import NetworkSettings
+from objectflow.networks.sceneflownet.network import SceneFlowNet
+from objectflow.networks.sceneflownet.settings import NetworkSettings
+from objectflow.storage import files
 
 Network = SceneFlowNet | RigidMatch
 Settings = NetworkSettings | RigidMatchSettings

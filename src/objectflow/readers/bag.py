@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from objectflow.errors import CameraError, ReaderError
-from objectflow.frame import Camera, RgbdFrame, check_depth_scale
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.readers.bag_messages import BagMessages, open_messages
 from objectflow.readers.options import DEFAULT_DEPTH_SCALE, CameraOptions
 from objectflow.readers.ros_images import is_depth, to_color, to_depth

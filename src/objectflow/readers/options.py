@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from objectflow.errors import ReaderError
-from objectflow.frame import Camera, check_depth_scale, read_color
+from objectflow.geometry.camera import Camera, check_depth_scale
+from objectflow.storage.images import read_color
 
 DEFAULT_DEPTH_SCALE = 1000.0
 """Depth units a metre where nobody says otherwise: most depth cameras write millimetres."""

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from objectflow.errors import MissingExtraError, ReaderError
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 try:
     import pyrealsense2 as rs

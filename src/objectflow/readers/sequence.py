@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from objectflow.frame import Camera, RgbdFrame
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 
 class CutOffWarning(UserWarning):

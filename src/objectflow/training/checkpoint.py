@@ -14,10 +14,10 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from objectflow import files
 from objectflow.errors import TrainingError
 from objectflow.networks.weights import Network, load_network, save_weights
-from objectflow.training.averaged import AveragedWeights
+from objectflow.storage import files
+from objectflow.training.ema import AveragedWeights
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
 _KEY = "objectflow"

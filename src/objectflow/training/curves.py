@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow import files
 from objectflow.errors import StorageError
+from objectflow.storage import files
 from objectflow.view import canvas
 from objectflow.view.canvas import Image
 from objectflow.view.colors import Rgb

@@ -17,25 +17,26 @@ from torch.nn.utils import clip_grad_norm_
 
 from objectflow import __version__
 from objectflow.dataset.batches import Batch, Batches
-from objectflow.dataset.joined import open_joined
-from objectflow.dataset.manifest import Manifest, Part, hash_file
+from objectflow.dataset.concatenated import open_joined
+from objectflow.dataset.manifest import Manifest, Part
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import TrainingError
 from objectflow.networks.weights import Network, save_weights
-from objectflow.training.averaged import AveragedWeights
-from objectflow.training.building import build_network, build_optimizer, compiled, precision
+from objectflow.storage.files import hash_file
+from objectflow.training.adapters import losses_of, trained_form
+from objectflow.training.callbacks import Watch
 from objectflow.training.checkpoint import Position, checkpoints, load_checkpoint, save_checkpoint
 from objectflow.training.curves import write_curve
-from objectflow.training.feeding import on_device
-from objectflow.training.kinds import losses_of, trained_form
+from objectflow.training.ema import AveragedWeights
+from objectflow.training.graceful_stop import Stopping
+from objectflow.training.metric_buffer import GRADIENT, Window
 from objectflow.training.parallel import Process, joined
+from objectflow.training.prefetch import on_device
 from objectflow.training.recipe import Recipe
 from objectflow.training.run_folder import CHECKPOINTS, RunFolder, opened, read_metrics
+from objectflow.training.setup import build_network, build_optimizer, compiled, precision
 from objectflow.training.step import prepare, step_generator
-from objectflow.training.stopping import Stopping
 from objectflow.training.validation import Validation, validate
-from objectflow.training.watch import Watch
-from objectflow.training.window import GRADIENT, Window
 
 
 @dataclass(frozen=True)

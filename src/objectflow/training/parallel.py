@@ -13,8 +13,8 @@ import torch.distributed as dist
 from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
-from objectflow.devices import find_device
 from objectflow.errors import TrainingError
+from objectflow.runtime.devices import find_device
 
 T = TypeVar("T")
 

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.errors import TrainingError
-from objectflow.grouping import GroupingSettings
+from objectflow.methods.sceneflownet.grouping import GroupingSettings
 from objectflow.networks import NetworkSettings
 from objectflow.networks.rigidmatch import RigidMatchSettings
 from objectflow.networks.rigidmatch.settings import SMALL
-from objectflow.training.losses import LossSettings
-from objectflow.training.rigid_settings import RigidLossSettings
+from objectflow.training.rigidmatch_loss_settings import RigidLossSettings
+from objectflow.training.sceneflownet_losses import LossSettings
 
 Variant = Literal["s", "c", "c-vl", "rigidmatch"]
 

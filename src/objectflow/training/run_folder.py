@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from objectflow import files
 from objectflow.errors import StorageError, TrainingError
+from objectflow.storage import files
 from objectflow.training.checkpoint import checkpoints, remove_leftovers
 from objectflow.training.recipe import FREE
 

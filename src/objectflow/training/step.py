@@ -10,7 +10,7 @@ from torch import Tensor
 
 from objectflow.dataset.augment import augment, network_inputs
 from objectflow.dataset.batches import Batch
-from objectflow.dataset.matches import previous_pixels
+from objectflow.dataset.pixel_matches import previous_pixels
 from objectflow.dataset.targets import Targets, make_targets, with_camera
 from objectflow.training.recipe import Recipe
 

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 
 from objectflow.dataset.batches import Batch
-from objectflow.evaluation.flow_metrics import score_flow
-from objectflow.evaluation.segmentation_metrics import score_segmentation
+from objectflow.evaluation.metrics.flow_metrics import score_flow
+from objectflow.evaluation.metrics.segmentation_metrics import score_segmentation
 from objectflow.networks.weights import Network
-from objectflow.training.building import precision
-from objectflow.training.kinds import Output, losses_of, motion_of, trained_form
+from objectflow.training.adapters import Output, losses_of, motion_of, trained_form
 from objectflow.training.parallel import Process
 from objectflow.training.recipe import Recipe
+from objectflow.training.setup import precision
 from objectflow.training.step import Prepared, prepare
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from objectflow import files
 from objectflow.errors import ResultError
 from objectflow.evaluation.results import Evaluation, PairSource
-from objectflow.evaluation.tables import make_tables
+from objectflow.evaluation.tables.tables import make_tables
+from objectflow.storage import files
 from objectflow.view.report_page.assemble import assemble, escape, json_block
 from objectflow.view.report_page.choice import choose_pairs
 from objectflow.view.report_page.numbers import report_numbers

@@ -20,7 +20,7 @@ from objectflow.errors import MissingExtraError, StorageError, ViewerError
 from objectflow.frame import RgbdFrame
 from objectflow.view import colors
 from objectflow.view.flow import flow_range
-from objectflow.view.moments import NO_TRACK, NO_TRACK_NAME, Array, Moment
+from objectflow.view.viewer_frames import NO_TRACK, NO_TRACK_NAME, Array, Moment
 
 try:
     import rerun as rr

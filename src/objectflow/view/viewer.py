@@ -8,7 +8,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, cast
 
-from objectflow.view.moments import Moment
+from objectflow.view.viewer_frames import Moment
 
 
 class Viewer(Protocol):

@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from objectflow.networks.rigidmatch.attention import Attention, FeedForward, Positions
-from objectflow.networks.rigidmatch.scene import Scene
+from objectflow.networks.rigidmatch.dense_head import Scene
 from objectflow.networks.rigidmatch.seeds import choose_seeds
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 

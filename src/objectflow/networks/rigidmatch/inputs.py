@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+import torch.nn.functional as F
 from torch import Tensor
 
-from objectflow.networks.sceneflownet import fill_holes
+from objectflow.networks.sceneflownet.network import fill_holes
 
 CHANNELS = 8
 _NEAR = 0.1

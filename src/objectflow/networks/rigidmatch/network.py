@@ -8,17 +8,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from objectflow.geometry.torch_se3 import so3_exp
 from objectflow.networks.rigidmatch.attention import FrameAttention, Positions
 from objectflow.networks.rigidmatch.decoder import Objects, SetDecoder
+from objectflow.networks.rigidmatch.dense_head import Scene, SceneHead
 from objectflow.networks.rigidmatch.encoder import Block, Encoder
 from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells, describe, grid
 from objectflow.networks.rigidmatch.matching import CoarseMatch, GlobalMatching
-from objectflow.networks.rigidmatch.motion import agreement, solve_motions
 from objectflow.networks.rigidmatch.outputs import RigidOutput
 from objectflow.networks.rigidmatch.refinement import FineMatch, Refinement
-from objectflow.networks.rigidmatch.scene import Scene, SceneHead
+from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
-from objectflow.torch_geometry import so3_exp
 
 PRIOR = 1.0
 """Matches that the votes' own motion counts for in the solve."""

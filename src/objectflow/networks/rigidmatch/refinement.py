@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F  # noqa: N812 - torch's own name for it
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells

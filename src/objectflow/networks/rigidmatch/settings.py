@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from objectflow.errors import MethodError
-from objectflow.networks.settings import read_fields
+from objectflow.networks.sceneflownet.settings import read_fields
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from objectflow.evaluation.breakdown import BREAKDOWNS, Breakdown
-from objectflow.evaluation.pair_score import PairScore
+from objectflow.evaluation.metrics.pair_score import PairScore
 from objectflow.evaluation.results import Evaluation, PairFacts
-from objectflow.evaluation.table import Cell, Table
+from objectflow.evaluation.tables.breakdown import BREAKDOWNS, Breakdown
+from objectflow.evaluation.tables.table import Cell, Table
 
 Best = Literal["low", "high"]
 

@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.evaluation.pair_score import PairScore
+from objectflow.evaluation.data.truth import PairTruth
+from objectflow.evaluation.metrics.pair_score import PairScore
 from objectflow.evaluation.results import EvaluationPair
-from objectflow.evaluation.truth import PairTruth
-from objectflow.geometry import so3_log, transform
+from objectflow.geometry.se3 import so3_log, transform
 from objectflow.motion import SceneMotion
 from objectflow.view.colors import Rgb, object_color
 from objectflow.view.flow import flow_range

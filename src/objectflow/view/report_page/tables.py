@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from objectflow.evaluation.results import Evaluation
-from objectflow.evaluation.table import Cell, Column, Row, Table, write_interval, write_value
-from objectflow.evaluation.tables import Tables
+from objectflow.evaluation.tables.table import Cell, Column, Row, Table, write_interval, write_value
+from objectflow.evaluation.tables.tables import Tables
 from objectflow.view.report_page.assemble import escape
 
 _LOW = ("epe", "aae", "rotation", "translation", "seconds")

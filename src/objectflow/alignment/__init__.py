@@ -1,0 +1,1 @@
+"""What every method shares about a pair: matches, registration, likelihood, the camera's motion."""

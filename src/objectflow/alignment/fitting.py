@@ -1,0 +1,86 @@
+"""A rigid motion fitted to matches: minimal sets, inliers and a weighted refit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.alignment.matching import Matches
+from objectflow.alignment.registration import _TUKEY
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.depth_noise import match_sigma
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
+
+
+def fit_matches(
+    matches: Matches, camera: Camera, *, weights: Floats | None = None, iterations: int = 8
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Trimmed weighted Kabsch: fit, drop what is further off than noise explains, fit again.
+
+    Args:
+        matches: at least three, from one object for the most part.
+        camera: its focal length turns pixels of matching error into metres.
+        weights: (N,) prior weights; ones when None.
+        iterations: at most this many fits.
+
+    Returns:
+        (4, 4) `prev_T_curr`, and (N,) bool: the matches that it explains.
+    """
+    prior = np.ones(len(matches.curr)) if weights is None else weights.astype(np.float64)
+    sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
+    # Precise points count more, as maximum likelihood has it.
+    precision = prior / sigma**2
+    prev_T_curr = _rough_fit(matches, sigma, precision)
+    for _ in range(iterations):
+        error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
+        scaled = error / sigma
+        scale = max(1.0, 1.4826 * float(np.median(scaled)))
+        robust = np.where(scaled < _TUKEY * scale, (1 - (scaled / (_TUKEY * scale)) ** 2) ** 2, 0.0)
+        if (robust > 0).sum() < 3:
+            break
+        updated, determined = geometry.kabsch(matches.curr, matches.prev, precision * robust)
+        if not determined:
+            break
+        change = np.abs(updated - prev_T_curr).max()
+        prev_T_curr = updated
+        if change < 1e-7:
+            break
+    error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
+    return prev_T_curr, error < 3 * sigma
+
+
+def _rough_fit(matches: Matches, sigma: Array, precision: Array, trials: int = 40) -> Array:
+    """The best by truncated squares of the fit to all matches and the fits to triplets spread over them.
+
+    The triplets step through the list at ever other strides, and need no random numbers.
+    """
+    count = len(matches.curr)
+    trial = np.arange(trials)
+    stride = 1 + (trial * 37) % max(1, count // 2)
+    triplets = (trial[:, None] * count // trials + stride[:, None] * np.arange(3)) % count
+    motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
+    everything, _ = geometry.kabsch(matches.curr, matches.prev, precision)
+    motions = np.concatenate([everything[None], motions[determined]])
+    misfit = np.minimum(squared_errors(motions, matches.curr, matches.prev) / sigma**2, 9).sum(axis=1)
+    return np.asarray(motions[misfit.argmin()])
+
+
+def squared_errors(motions: Array, curr: NDArray[np.floating[Any]], prev: NDArray[np.floating[Any]]) -> Array:
+    """Squared distance of every point, carried by every motion, to its match.
+
+    Args:
+        motions: (K, 4, 4) `prev_T_curr`.
+        curr, prev: (N, 3) metres.
+
+    Returns:
+        (K, N) square metres.
+    """
+    # Coordinates first: sums over the three of them are then sums of long rows.
+    off = motions[:, :3, :3] @ curr.T.astype(np.float64) + (motions[:, :3, 3, None] - prev.T)
+    off *= off
+    return np.asarray(off[:, 0] + off[:, 1] + off[:, 2])

@@ -1,0 +1,114 @@
+"""Warping with occlusion: take from the previous frame what the current one shows, or throw points into an image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.alignment import matching
+from objectflow.errors import GeometryError
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+
+_NOTHING = np.uint64(2**64 - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Warped:
+    """What the previous frame shows where the current frame's pixels were.
+
+    Attributes:
+        color: (H, W, 3) float32, RGB 0..255; 0 where not visible.
+        depth: (H, W) float32, metres in the previous camera's frame; 0 where not visible.
+        visible: (H, W) bool: the previous frame measured this point, with nothing before it.
+    """
+
+    color: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+
+
+def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: float | NDArray[Any]) -> Warped:
+    """Sample the previous frame where the current frame's pixels were.
+
+    Args:
+        prev: the previous frame.
+        points_in_prev: (H, W, 3) metres, previous camera frame: the current pixels' points plus their scene flow.
+            NaN where unknown. H and W are the current frame's and may differ from the previous one's.
+        tolerance: metres, a number or (H, W): how far from the measured surface a point may lie. Something nearer
+            hides the point; something further says that the motion is wrong there. Neither is visible.
+
+    Returns:
+        Colour bilinear, depth bilinear on one surface and not sampled across edges, and what is visible.
+
+    Raises:
+        GeometryError: points of another shape, or a tolerance that is not positive or does not fit.
+    """
+    points = np.asarray(points_in_prev)
+    if points.ndim != 3 or points.shape[2] != 3:
+        raise GeometryError(f"points_in_prev must be (H, W, 3), not {points.shape}")
+    limit = np.asarray(tolerance, dtype=np.float64)
+    if limit.shape not in ((), points.shape[:2]) or not (limit > 0).all():
+        raise GeometryError(f"tolerance must be a positive number of metres or an array {points.shape[:2]} of them")
+    with np.errstate(over="ignore"):
+        pixels = geometry.project(points.astype(np.float64), prev.camera).reshape(-1, 2).astype(np.float32)
+    measured, ok = matching.sample_depth(prev.depth, pixels)
+    shape = points.shape[:2]
+    measured, ok = measured.reshape(shape), ok.reshape(shape)
+    with np.errstate(invalid="ignore"):
+        visible = ok & (np.abs(points[..., 2] - measured) <= limit)
+    color = np.zeros((*shape, 3), np.float32)
+    color[visible] = _bilinear(prev.color, pixels[visible.ravel()])
+    return Warped(color=color, depth=np.where(visible, measured, np.float32(0)), visible=visible)
+
+
+def splat(
+    points: NDArray[Any], color: NDArray[np.uint8], camera: Camera
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Throw coloured points into an image: each into the pixel that it falls in, the nearest of a pixel wins.
+
+    Args:
+        points: (..., 3) metres, camera frame; NaN and points behind the camera are left out.
+        color: (..., 3) uint8, one for each point.
+        camera: of the image to fill.
+
+    Returns:
+        Colour (H, W, 3) uint8 and planar depth (H, W) float32 in metres; both 0 in holes.
+
+    Raises:
+        GeometryError: shapes that do not fit.
+    """
+    if points.shape != color.shape or points.ndim < 2 or points.shape[-1] != 3:
+        raise GeometryError(f"splat needs points and colours of one shape (..., 3), not {points.shape}, {color.shape}")
+    flat = points.reshape(-1, 3).astype(np.float64)
+    column, row = np.floor(geometry.project(flat, camera) + 0.5).T
+    with np.errstate(invalid="ignore"):
+        keep = np.flatnonzero((column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height))
+    target = row[keep].astype(np.int64) * camera.width + column[keep].astype(np.int64)
+    # A buffer of depth and point in one number: bits of positive floats are in the order of the floats.
+    near = flat[keep, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
+    buffer = np.full(camera.height * camera.width, _NOTHING)
+    np.minimum.at(buffer, target, near | keep.astype(np.uint64))
+    filled = np.flatnonzero(buffer != _NOTHING)
+    nearest = (buffer[filled] & np.uint64(0xFFFFFFFF)).astype(np.intp)
+    image = np.zeros((camera.height * camera.width, 3), np.uint8)
+    depth = np.zeros(camera.height * camera.width, np.float32)
+    image[filled] = color.reshape(-1, 3)[nearest]
+    depth[filled] = flat[nearest, 2]
+    return image.reshape(camera.height, camera.width, 3), depth.reshape(camera.height, camera.width)
+
+
+def _bilinear(image: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W, C) at pixels (N, 2) as (u, v) that lie between pixel centres -> (N, C) float32."""
+    height, width, channels = image.shape
+    low = np.minimum(np.floor(pixels), np.array([max(0, width - 2), max(0, height - 2)], np.float32))
+    right, below = min(1, width - 1), width * min(1, height - 1)  # an image may be a single pixel wide
+    du, dv = (pixels - low).T[..., None]
+    first, values = low[:, 1].astype(np.int64) * width + low[:, 0].astype(np.int64), image.reshape(-1, channels)
+    a, b, c, d = (values.take(first + step, axis=0).astype(np.float32) for step in (0, right, below, below + right))
+    top, bottom = a + (b - a) * du, c + (d - c) * du
+    return np.asarray(top + (bottom - top) * dv, dtype=np.float32)

@@ -1,0 +1,1 @@
+"""Where evaluated pairs come from, and what is true in them."""

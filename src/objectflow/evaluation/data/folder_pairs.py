@@ -1,0 +1,203 @@
+"""The `real` set: any folder of pair folders, scored where a pair has its truth in `truth.npz`.
+
+`truth.npz` holds `labels1` ((H, W) whole numbers, 0 = background, k = k-th object; on the current frame) and
+`prev_T_curr` ((K, 4, 4), a motion for each object). It may hold `labels0` (the same on the previous frame),
+`background_prev_T_curr` ((4, 4); without it the camera stood still), `names` ((K,)), `centers` ((K, 3) metres),
+`moving` ((K,) bool) and `rotation_known` ((K,) bool).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.errors import DatasetError
+from objectflow.evaluation.data.archives import read_archive
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.frame import RgbdFrame
+from objectflow.readers.pair import is_pair, open_pair
+
+Array = NDArray[np.float64]
+
+TRUTH = "truth.npz"
+
+_LARGEST_BALL, _BALL_MISFIT = 0.06, 0.004
+"""Metres: visible points this near to a sphere of a smaller radius are a ball's."""
+
+
+@dataclass(frozen=True, eq=False)
+class RealPair:
+    """A pair of frames, and its truth where there is one."""
+
+    name: str
+    prev: RgbdFrame
+    curr: RgbdFrame
+    truth: PairTruth | None
+
+
+def find_pairs(folder: str | Path) -> list[Path]:
+    """The pair folders in a folder, by name; the folder itself when it is one.
+
+    Raises:
+        DatasetError: there is no such folder, or no pair in it.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
+    if is_pair(folder):
+        return [folder]
+    pairs = sorted(path for path in folder.iterdir() if path.is_dir() and is_pair(path))
+    if not pairs:
+        raise DatasetError(f"{folder}: no pair folders in it: each holds color0, depth0, color1, depth1, camera.json")
+    return pairs
+
+
+def read_pairs(
+    folder: str | Path, *, with_truth: bool = True, translation_only: Collection[str] = ()
+) -> Iterator[RealPair]:
+    """Read the pairs of a folder one by one.
+
+    Args:
+        folder: of pair folders.
+        with_truth: leave out pairs without `truth.npz`.
+        translation_only: see `read_pair`.
+
+    Raises:
+        DatasetError: no pairs, none with truth where that is asked for, or a truth that is broken.
+        ObjectflowError: frames that cannot be read.
+    """
+    paths = find_pairs(folder)
+    if with_truth:
+        paths = [path for path in paths if (path / TRUTH).is_file()]
+        if not paths:
+            raise DatasetError(f"{folder}: none of its pairs has a {TRUTH} to be scored against")
+    return (read_pair(path, translation_only=translation_only) for path in paths)
+
+
+def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> RealPair:
+    """Read one pair folder.
+
+    The truth's labels are those of objects that move against the background. One that stands still is background
+    here, like everything else that nobody outlined. Centres that the file does not give are a ball's middle where the
+    visible points lie on a sphere, whose turns cannot be seen, otherwise the median of the visible points.
+
+    Args:
+        folder: as `readers.pair` describes it, with or without `truth.npz`.
+        translation_only: names of objects whose true rotation is not known well enough to score one against it.
+
+    Raises:
+        DatasetError: a truth that is broken or does not fit the frames.
+        ObjectflowError: frames that cannot be read.
+    """
+    folder = Path(folder)
+    prev, curr = open_pair(folder)
+    truth = None
+    if (folder / TRUTH).is_file():
+        truth = _truth(folder, curr, read_archive(folder / TRUTH), translation_only)
+    return RealPair(folder.name, prev, curr, truth)
+
+
+def _truth(
+    folder: Path, curr: RgbdFrame, arrays: Mapping[str, NDArray[Any]], translation_only: Collection[str]
+) -> PairTruth:
+    where, shape = folder / TRUTH, curr.depth.shape
+    labels = _labels(arrays, "labels1", shape, where)
+    before = _labels(arrays, "labels0", shape, where) if "labels0" in arrays else labels
+    count = len(_array(arrays, "prev_T_curr", (None, 4, 4), where))
+    if labels.max(initial=0) > count:
+        raise DatasetError(f"{where}: labels1 goes up to {labels.max()}, prev_T_curr has {count} motions")
+    motions = _array(arrays, "prev_T_curr", (count, 4, 4), where)
+    background = None
+    if "background_prev_T_curr" in arrays:
+        background = _array(arrays, "background_prev_T_curr", (4, 4), where)
+        if np.array_equal(background, np.eye(4)):
+            background = None
+    names = [str(name) for name in arrays.get("names", np.full(count, ""))]
+    known = _flags(arrays, "rotation_known", count, where)
+    centers = _array(arrays, "centers", (count, 3), where) if "centers" in arrays else None
+    if len(names) != count:
+        raise DatasetError(f"{where}: {len(names)} names for {count} motions")
+    points = geometry.back_project(curr.depth, curr.camera)
+    objects = []
+    for k in range(count):
+        seen = points[(labels == k + 1) & curr.valid]
+        if len(seen) == 0:  # without a point there is nothing to score
+            labels[labels == k + 1] = 0
+            continue
+        center, is_ball = find_center(seen)
+        objects.append(
+            TrueObject(
+                label=k + 1,
+                center=center if centers is None else centers[k],
+                prev_T_curr=motions[k],
+                axes=np.empty((0, 3)),
+                orders=(),
+                in_both=bool((before == k + 1).any()),
+                rotation_known=bool((known is None or known[k]) and not is_ball and names[k] not in translation_only),
+            )
+        )
+    everything = make_truth(folder.name, curr, labels, objects, background_prev_T_curr=background)
+    flags = _flags(arrays, "moving", count, where)
+    moving = everything.moving if flags is None else {k + 1 for k in range(count) if flags[k]}
+    labels = np.where(np.isin(labels, list(moving)), labels, 0).astype(np.int32)
+    kept = [obj for obj in objects if obj.label in moving]
+    return make_truth(folder.name, curr, labels, kept, background_prev_T_curr=background, moving=-1.0)
+
+
+def find_center(points: NDArray[np.floating[Any]]) -> tuple[Array, bool]:
+    """Where translations of an object are compared, and whether it is a ball.
+
+    Args:
+        points: (N, 3) its visible points, metres.
+
+    Returns:
+        (3,) the ball's middle or the points' median; True for a ball.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    median = np.median(p, axis=0)
+    # Outlines made by hand take in a little of what lies behind.
+    near = p[np.linalg.norm(p - median, axis=1) < _LARGEST_BALL]
+    if len(near) < max(20, 0.8 * len(p)):
+        return median, False
+    # |p - c|^2 = r^2 is linear in c and r^2 - |c|^2; about the median, so that squares of metres cost no digits.
+    local = near - median
+    (x, y, z, rest), *_ = np.linalg.lstsq(np.c_[2 * local, np.ones(len(local))], (local**2).sum(1), rcond=None)
+    middle = np.array([x, y, z])
+    radius = float(np.sqrt(max(0.0, rest + middle @ middle)))
+    misfit = float(np.sqrt(np.mean((np.linalg.norm(local - middle, axis=1) - radius) ** 2)))
+    if radius < _LARGEST_BALL and misfit < _BALL_MISFIT:
+        return median + middle, True
+    return median, False
+
+
+def _array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], where: Path) -> Array:
+    if name not in arrays:
+        raise DatasetError(f"{where}: {name} is missing; there is: {', '.join(sorted(arrays))}")
+    array = arrays[name]
+    fits = array.ndim == len(shape) and all(want in (None, n) for want, n in zip(shape, array.shape, strict=True))
+    if not fits or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+        wanted = "x".join("K" if n is None else str(n) for n in shape)
+        raise DatasetError(f"{where}: {name} must be {wanted} finite numbers, not {array.shape} {array.dtype}")
+    return array.astype(np.float64)
+
+
+def _labels(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], where: Path) -> NDArray[np.int32]:
+    values = _array(arrays, name, shape, where)
+    if arrays[name].dtype.kind not in "iu" or values.min(initial=0) < 0 or values.max(initial=0) > 65535:
+        raise DatasetError(f"{where}: {name} must hold whole numbers in 0..65535")
+    return values.astype(np.int32)
+
+
+def _flags(arrays: Mapping[str, NDArray[Any]], name: str, count: int, where: Path) -> NDArray[np.bool_] | None:
+    if name not in arrays:
+        return None
+    flags = arrays[name]
+    if flags.shape != (count,) or flags.dtype != np.bool_:
+        raise DatasetError(f"{where}: {name} must be {count} truth values, not {flags.shape} {flags.dtype}")
+    return np.asarray(flags)

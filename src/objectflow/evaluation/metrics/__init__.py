@@ -1,0 +1,1 @@
+"""How well a result fits the truth: flow, masks, objects, movers, borders."""

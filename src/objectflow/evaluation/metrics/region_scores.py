@@ -1,0 +1,56 @@
+"""Mask and flow of each true object: what the breakdowns by displacement, rotation and size add up."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.evaluation.data.truth import PairTruth
+from objectflow.evaluation.metrics.flow_metrics import end_point_errors
+from objectflow.evaluation.metrics.segmentation_metrics import Match
+
+
+@dataclass(frozen=True)
+class RegionScore:
+    """How well one true object was found.
+
+    Attributes:
+        label: of the true object.
+        f: F-measure of the mask that stands for it; 0 where none does.
+        epe_cm: mean over its pixels that have truth and prediction; NaN without any.
+    """
+
+    label: int
+    f: float
+    epe_cm: float
+
+
+def score_regions(
+    predicted: NDArray[np.float32], truth: PairTruth, matches: Iterable[Match]
+) -> tuple[RegionScore, ...]:
+    """Score every object of the truth.
+
+    Args:
+        predicted: (H, W, 3) flow in metres.
+        truth: of the pair.
+        matches: pairs of objects, of `SegmentationScore.matches`.
+    """
+    f = {match.true: match.f for match in matches}
+    pixels = np.flatnonzero(truth.labels)
+    a, b = (np.ascontiguousarray(flow.reshape(-1, 3)[pixels].T, np.float64) for flow in (predicted, truth.scene_flow))
+    errors = end_point_errors(a, b)
+    there = np.isfinite(errors)
+    owners = truth.labels.ravel()[pixels[there]]
+    size = int(truth.labels.max(initial=0)) + 1
+    count, total = np.bincount(owners, minlength=size), np.bincount(owners, errors[there], minlength=size)
+    return tuple(
+        RegionScore(
+            obj.label,
+            f.get(obj.label, 0.0),
+            float(total[obj.label] / count[obj.label]) if count[obj.label] else float("nan"),
+        )
+        for obj in truth.objects
+    )

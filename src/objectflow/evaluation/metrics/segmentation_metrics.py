@@ -1,0 +1,148 @@
+"""Precision, recall, F and extracted objects of one image, in the three published ways of averaging."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.evaluation.metrics.boundary import count_near, outlines, tolerance_pixels
+from objectflow.evaluation.metrics.region_matching import Regions, assign, compare
+
+EXTRACTED = 0.75
+"""The F-measure from which an object counts as extracted."""
+
+
+class PRF(NamedTuple):
+    """Precision, recall and F-measure, 0..1."""
+
+    precision: float
+    recall: float
+    f: float
+
+
+class Match(NamedTuple):
+    """A predicted object that stands for a true one, and their F-measure."""
+
+    true: int
+    predicted: int
+    f: float
+
+
+@dataclass(frozen=True)
+class SegmentationScore:
+    """The segmentation of one image.
+
+    Attributes:
+        fbms: Ochs, Malik, Brox 2014: background is a region; an unmatched true region has P = 1 and R = 0; surplus
+            predictions are ignored; means over true regions; F is their harmonic mean.
+        mean_f: Bideau et al. 2018: the same pairs, an unmatched region has 0 throughout, F is averaged directly.
+            The headline.
+        overlap: Xie et al. 2020 (UOIS): without background; matched pixels over all predicted and all true pixels.
+        boundary: the same authors' measure of outlines.
+        fbms_extracted: true objects matched in the first form with F > 0.75.
+        extracted: the same with F >= 0.75; the headline's.
+        overlap_extracted: the same among the third form's pairs.
+        true_objects, predicted_objects: how many there are.
+        matches: the third form's pairs of objects.
+    """
+
+    fbms: PRF
+    mean_f: PRF
+    overlap: PRF
+    boundary: PRF
+    fbms_extracted: int
+    extracted: int
+    overlap_extracted: int
+    true_objects: int
+    predicted_objects: int
+    matches: tuple[Match, ...]
+
+
+def score_segmentation(true: NDArray[np.int32], predicted: NDArray[np.int32]) -> SegmentationScore:
+    """Score one label image; how regions are numbered does not matter, only that 0 is the background.
+
+    Args:
+        true, predicted: (H, W) int32 labels of the current frame.
+
+    Raises:
+        ResultError: images of two sizes, or labels that are negative or no integers.
+    """
+    regions = compare(true, predicted)
+    pairs = assign(regions)
+    f = regions.f
+    of_objects = [f[i, j] for i, j in pairs if regions.true_ids[i] != 0]
+    objects = regions.without_background()
+    object_pairs = assign(objects)
+    matches = tuple(
+        Match(int(objects.true_ids[i]), int(objects.predicted_ids[j]), float(objects.f[i, j])) for i, j in object_pairs
+    )
+    return SegmentationScore(
+        fbms=_fbms(regions, pairs),
+        mean_f=_mean_f(regions, pairs),
+        overlap=_overlap(objects, object_pairs),
+        boundary=_boundary(true, predicted, matches),
+        fbms_extracted=sum(value > EXTRACTED for value in of_objects),
+        extracted=sum(value >= EXTRACTED for value in of_objects),
+        overlap_extracted=sum(match.f >= EXTRACTED for match in matches),
+        true_objects=len(objects.true_ids),
+        predicted_objects=len(objects.predicted_ids),
+        matches=matches,
+    )
+
+
+def harmonic_mean(precision: float, recall: float) -> float:
+    """2PR / (P + R), 0 where both are 0."""
+    return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+
+
+def _fbms(regions: Regions, pairs: Sequence[tuple[int, int]]) -> PRF:
+    precision, recall = _precision_recall(regions, pairs)
+    count = len(regions.true_ids)
+    P, R = (sum(precision) + count - len(pairs)) / count, sum(recall) / count
+    return PRF(P, R, harmonic_mean(P, R))
+
+
+def _mean_f(regions: Regions, pairs: Sequence[tuple[int, int]]) -> PRF:
+    precision, recall = _precision_recall(regions, pairs)
+    count, f = len(regions.true_ids), regions.f
+    return PRF(sum(precision) / count, sum(recall) / count, float(sum(f[i, j] for i, j in pairs)) / count)
+
+
+def _precision_recall(regions: Regions, pairs: Sequence[tuple[int, int]]) -> tuple[list[float], list[float]]:
+    precision = [float(regions.overlap[i, j] / regions.predicted_sizes[j]) for i, j in pairs]
+    recall = [float(regions.overlap[i, j] / regions.true_sizes[i]) for i, j in pairs]
+    return precision, recall
+
+
+def _overlap(objects: Regions, pairs: Sequence[tuple[int, int]]) -> PRF:
+    matched = int(sum(objects.overlap[i, j] for i, j in pairs))
+    return _of_counts(matched, int(objects.predicted_sizes.sum()), matched, int(objects.true_sizes.sum()))
+
+
+def _boundary(true: NDArray[np.int32], predicted: NDArray[np.int32], matches: Sequence[Match]) -> PRF:
+    true_lines, predicted_lines = outlines(true), outlines(predicted)
+    height, width = true.shape
+    radius = tolerance_pixels(height, width)
+    near_true = near_predicted = 0
+    for match in matches:
+        line, guess = true_lines.get(match.true), predicted_lines.get(match.predicted)
+        if line is None or guess is None:  # a mask that fills the image has no outline
+            continue
+        near_true += count_near(guess, line, radius, height, width)
+        near_predicted += count_near(line, guess, radius, height, width)
+    return _of_counts(
+        near_true, sum(map(len, predicted_lines.values())), near_predicted, sum(map(len, true_lines.values()))
+    )
+
+
+def _of_counts(hits: int, predicted: int, found: int, true: int) -> PRF:
+    """P = hits / predicted, R = found / true; nothing predicted is precise, nothing to find is found."""
+    if predicted == 0 and true == 0:
+        return PRF(1.0, 1.0, 1.0)
+    P = hits / predicted if predicted else 1.0
+    R = found / true if true else 1.0
+    return PRF(P, R, harmonic_mean(P, R))

@@ -1,0 +1,1 @@
+"""Methods that know a part of the truth, as upper bounds."""

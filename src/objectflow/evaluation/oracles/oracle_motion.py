@@ -1,0 +1,98 @@
+"""`oracle-motion`: true motions with our grouping, to show how much of a network's error comes from the grouping."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.errors import ResultError
+from objectflow.evaluation.data.truth import PairTruth
+from objectflow.frame import RgbdFrame, check_pair
+from objectflow.methods.sceneflownet.averaging import average_motions
+from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
+from objectflow.motion import SceneMotion
+
+Floats = NDArray[np.float32]
+
+RADIUS_ALONE = 0.5
+"""B in metres of an object without another one to be told from."""
+
+
+@dataclass(frozen=True, eq=False)
+class OracleMotion:
+    """An estimator whose dense maps (mask, X, T, R, eta, B) are the truth; its labels are the grouping's.
+
+    What it loses against the truth is what the grouping cannot tell apart: objects with one trajectory feature, and
+    those of fewer pixels than `settings.min_pixels`.
+
+    Attributes:
+        truth: of the pair.
+        background_prev_T_curr: (4, 4) true camera motion, None for a static camera.
+        settings: of the grouping; the defaults when None.
+    """
+
+    truth: PairTruth
+    background_prev_T_curr: NDArray[np.float64] | None = None
+    settings: GroupingSettings | None = None
+
+    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        """See `Estimator`.
+
+        Raises:
+            FrameError: the frames differ in size or intrinsics.
+            ResultError: the truth is of another size.
+        """
+        start = time.perf_counter()
+        check_pair(prev, curr)
+        true = self.truth.labels
+        if true.shape != curr.depth.shape:
+            raise ResultError(f"{self.truth.key}: the truth is {true.shape}, the frame {curr.depth.shape}")
+        points = geometry.back_project(curr.depth, curr.camera)
+        # 1. The dense maps that a network without error would give.
+        center, translation, rotation, radius = self._maps()
+        distance = np.linalg.norm(points - center, axis=-1)
+        # 2. Our grouping; pixels nearer to their object's centre come first, as eta has it.
+        settings = self.settings or GroupingSettings()
+        X, T, R = (_to_torch(one) for one in (center, translation, rotation))
+        feature = trajectory_feature(X, T, R, settings.rotation_weight)
+        eta = torch.from_numpy(-np.nan_to_num(distance, nan=1e3))
+        labels = group(feature, torch.from_numpy(true > 0), eta, torch.from_numpy(radius), settings).numpy()
+        # 3. Our averaging, and the flow made again from the motions.
+        objects = average_motions(
+            labels, rotation, translation, center, confidence=np.ones(labels.shape, dtype=np.float32)
+        )
+        motions = {obj.id: obj.prev_T_curr for obj in objects}
+        return SceneMotion(
+            labels=labels,
+            scene_flow=geometry.flow_from_motions(points, labels, motions, self.background_prev_T_curr),
+            objects=objects,
+            camera_motion=self.background_prev_T_curr,
+            method="oracle-motion",
+            seconds=time.perf_counter() - start,
+        )
+
+    def _maps(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """X, T and R as (H, W, 3) and B as (H, W): half the distance to the nearest other trajectory (equation 6)."""
+        objects = self.truth.objects
+        table = np.zeros((int(self.truth.labels.max(initial=0)) + 1, 10), np.float32)
+        center = np.array([obj.center for obj in objects]).reshape(-1, 3)
+        carried = np.array([geometry.transform(obj.prev_T_curr, obj.center) for obj in objects]).reshape(-1, 3)
+        trajectory = np.concatenate([center, carried], axis=1)
+        for k, obj in enumerate(objects):
+            others = np.delete(trajectory, k, axis=0)
+            gaps = np.linalg.norm(others - trajectory[k], axis=1)
+            B = 0.5 * gaps.min() if len(gaps) else RADIUS_ALONE
+            turn = geometry.so3_log(obj.prev_T_curr[:3, :3])
+            table[obj.label] = np.concatenate([center[k], carried[k] - center[k], turn, [B]])
+        dense = table[self.truth.labels]
+        return dense[..., :3], dense[..., 3:6], dense[..., 6:9], np.ascontiguousarray(dense[..., 9])
+
+
+def _to_torch(dense: Floats) -> torch.Tensor:
+    """(H, W, 3) -> (3, H, W)."""
+    return torch.from_numpy(np.ascontiguousarray(dense.transpose(2, 0, 1)))

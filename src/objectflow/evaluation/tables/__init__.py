@@ -1,0 +1,1 @@
+"""From scores to tables: summaries, intervals, breakdowns and text."""

@@ -1,0 +1,36 @@
+"""Cameras, rigid transforms and projection in NumPy; `torch_se3` and `torch_pinhole` are their torch forms."""
+
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.pinhole import back_project, flow_from_motions, pixel_grid, project
+from objectflow.geometry.se3 import (
+    hat,
+    inverse,
+    kabsch,
+    make_transform,
+    quaternion_from_matrix,
+    rotation_angle,
+    se3_exp,
+    se3_log,
+    so3_exp,
+    so3_log,
+    transform,
+)
+
+__all__ = [
+    "Camera",
+    "back_project",
+    "flow_from_motions",
+    "hat",
+    "inverse",
+    "kabsch",
+    "make_transform",
+    "pixel_grid",
+    "project",
+    "quaternion_from_matrix",
+    "rotation_angle",
+    "se3_exp",
+    "se3_log",
+    "so3_exp",
+    "so3_log",
+    "transform",
+]

@@ -1,0 +1,153 @@
+"""A pinhole camera: its intrinsics, checked once, and its JSON form."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import CameraError, FrameError, ReaderError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera without distortion; x right, y down, z forward, the first pixel's centre at (0, 0).
+
+    Attributes:
+        width, height: image size in pixels.
+        fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels.
+
+    Raises:
+        CameraError: a value that is not finite or positive, or a principal point outside the image.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height", "fx", "fy", "cx", "cy"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+                raise CameraError(f"camera {name} must be a number, not {value!r}")
+            if not _is_finite(value):
+                raise CameraError(f"camera {name} must be a finite number of common size")
+        if int(self.width) != self.width or int(self.height) != self.height or min(self.width, self.height) < 1:
+            raise CameraError(f"camera size must be whole and positive, not {self.width}x{self.height}")
+        if self.fx <= 0 or self.fy <= 0:
+            raise CameraError(f"focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
+        if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
+            raise CameraError(
+                f"the principal point ({self.cx:g}, {self.cy:g}) lies outside the {self.width}x{self.height} image: "
+                "are these the intrinsics of another resolution?"
+            )
+        if not 0.1 <= self.fx / self.width <= 20 or not 0.1 <= self.fy / self.height <= 20:
+            raise CameraError(
+                f"fx={self.fx:g}, fy={self.fy:g} do not fit a {self.width}x{self.height} image: "
+                "are they in pixels, and of this resolution?"
+            )
+        for name, kind in (("width", int), ("height", int), ("fx", float), ("fy", float), ("cx", float)):
+            object.__setattr__(self, name, kind(getattr(self, name)))
+        object.__setattr__(self, "cy", float(self.cy))
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The 3x3 intrinsic matrix K, in pixels."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
+
+    def scaled(self, width: int, height: int) -> Camera:
+        """The same camera at another resolution. Pixel centres are whole, so the corner is at (-0.5, -0.5)."""
+        sx, sy = width / self.width, height / self.height
+        return Camera(
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            # Multiply first: a quotient rounded up would carry a principal point on the border out of the image.
+            cx=(self.cx + 0.5) * width / self.width - 0.5,
+            cy=(self.cy + 0.5) * height / self.height - 0.5,
+        )
+
+    def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
+        """The camera of the image part whose first pixel is (x, y).
+
+        Raises:
+            CameraError: the part does not lie within the image or misses the principal point.
+        """
+        if x < 0 or y < 0 or x + width > self.width or y + height > self.height:
+            raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
+        return Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx - x, cy=self.cy - y)
+
+    def to_dict(self) -> dict[str, float]:
+        """`{"width", "height", "fx", "fy", "cx", "cy"}`, as in `camera.json`."""
+        return {name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], *, where: str = "camera") -> Camera:
+        """Make a camera of a mapping with the six names; further names are left alone.
+
+        Raises:
+            CameraError: a name is missing or its value is no number; the message starts with `where`.
+        """
+        missing = [name for name in ("width", "height", "fx", "fy", "cx", "cy") if name not in values]
+        if missing:
+            raise CameraError(f"{where}: {', '.join(missing)} missing")
+        try:
+            return cls(**{name: values[name] for name in ("width", "height", "fx", "fy", "cx", "cy")})
+        except CameraError as error:
+            raise CameraError(f"{where}: {error}") from error
+
+    @classmethod
+    def read(cls, path: str | Path) -> tuple[Camera, float | None]:
+        """Read `camera.json`: the camera, and `depth_scale` (depth units a metre) where the file has one.
+
+        Raises:
+            ReaderError: no such file, or not JSON.
+            CameraError: values that are missing or make no camera.
+            FrameError: a depth scale that is no positive number.
+        """
+        path = Path(path)
+        try:
+            values = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ReaderError(f"{path}: no such camera file") from None
+        except OSError as error:
+            raise ReaderError(f"{path}: cannot be read: {error.strerror}") from error
+        except (ValueError, RecursionError) as error:
+            raise ReaderError(f"{path}: not a JSON file: {error}") from error
+        if not isinstance(values, dict):
+            raise ReaderError(f"{path}: expected a JSON object with width, height, fx, fy, cx, cy")
+        scale = values.get("depth_scale")
+        if scale is not None:
+            check_depth_scale(scale, where=f"{path}: ")
+        return cls.from_dict(values, where=str(path)), None if scale is None else float(scale)
+
+
+def check_depth_scale(scale: object, *, where: str = "") -> None:
+    """Check that a depth scale (units a metre) is a finite positive number.
+
+    Raises:
+        FrameError: it is not; the message starts with `where`.
+    """
+    if isinstance(scale, bool) or not isinstance(scale, (int, float, np.integer, np.floating)):
+        raise FrameError(f"{where}depth_scale must be a number of depth units a metre, not {scale!r}")
+    if not _is_finite(scale) or scale <= 0:
+        raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units a metre")
+
+
+def _is_finite(value: float | np.integer[Any] | np.floating[Any]) -> bool:
+    """`math.isfinite`, which knows no integers beyond the range of floats."""
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False

@@ -1,0 +1,66 @@
+"""Projection and back-projection of a pinhole camera, and the flow that rigid motions make."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.geometry.camera import Camera
+
+Array = NDArray[np.float64]
+
+
+def pixel_grid(camera: Camera) -> NDArray[np.float32]:
+    """(H, W, 2) float32: rays at z = 1, `((u - cx) / fx, (v - cy) / fy)` of every pixel centre."""
+    x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
+    y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
+    return np.stack(np.meshgrid(x, y), axis=-1)
+
+
+def back_project(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Planar depth (H, W) in metres -> points (H, W, 3) float32 in the camera frame; NaN where depth is 0."""
+    z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
+    return np.concatenate([pixel_grid(camera) * z[..., None], z[..., None]], axis=-1)
+
+
+def project(points: NDArray[Any], camera: Camera) -> NDArray[Any]:
+    """Points (..., 3) -> pixels (..., 2) as (u, v); NaN for points at or behind the camera's plane."""
+    z = np.where(points[..., 2] > 1e-6, points[..., 2], np.nan)
+    u = points[..., 0] / z * camera.fx + camera.cx
+    v = points[..., 1] / z * camera.fy + camera.cy
+    return np.stack([u, v], axis=-1).astype(points.dtype, copy=False)
+
+
+def flow_from_motions(
+    points: NDArray[np.float32],
+    labels: NDArray[np.int32],
+    motions: dict[int, Array],
+    background_prev_T_curr: Array | None = None,
+) -> NDArray[np.float32]:
+    """Scene flow `P_prev - P_curr` of rigidly moving regions (equation 1 of the paper).
+
+    Args:
+        points: (H, W, 3) metres, NaN where depth is missing.
+        labels: (H, W) int32; a label without a motion moves like the background.
+        motions: label -> (4, 4) `prev_T_curr`.
+        background_prev_T_curr: motion of everything else; None means exactly 0.
+
+    Returns:
+        (H, W, 3) float32 metres, NaN where depth is missing.
+    """
+    if background_prev_T_curr is None:
+        flow = np.where(np.isnan(points), points, np.float32(0))
+    else:
+        flow = _displacement(background_prev_T_curr, points)
+    for label, prev_T_curr in motions.items():
+        mask = labels == label
+        flow[mask] = _displacement(prev_T_curr, points[mask])
+    return flow
+
+
+def _displacement(prev_T_curr: Array, points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(R - I) P + t: subtracting before multiplying keeps small motions exact in float32."""
+    A = (prev_T_curr[:3, :3] - np.eye(3)).astype(np.float32)
+    return points @ A.T + prev_T_curr[:3, 3].astype(np.float32)

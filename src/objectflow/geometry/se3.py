@@ -1,0 +1,177 @@
+"""Rigid motions and the pinhole camera in NumPy: SE(3), weighted Kabsch, projection, flow from motions.
+
+Every function takes leading batch dimensions where it makes sense. Angles in radians, lengths in metres.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from objectflow.errors import GeometryError
+
+Array = NDArray[np.float64]
+
+_SMALL_ANGLE = 1e-4
+"""Below this the series of sin and cos are exact to double precision and the quotients are not."""
+
+
+def hat(vector: ArrayLike) -> Array:
+    """(..., 3) -> (..., 3, 3): the skew matrix with `hat(a) @ b = a x b`."""
+    v = np.asarray(vector, dtype=np.float64)
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+def so3_exp(rotation_vector: ArrayLike) -> Array:
+    """Axis-angle (..., 3) in radians -> rotation matrix (..., 3, 3). Rodrigues, with its series near 0."""
+    w = np.asarray(rotation_vector, dtype=np.float64)
+    a, b, _ = _rodrigues_coefficients(w)
+    K = hat(w)
+    return np.eye(3) + a * K + b * (K @ K)
+
+
+def so3_log(rotation: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> axis-angle (..., 3) with an angle in [0, pi].
+
+    Through the quaternion of Shepperd's method, so that it is exact to rounding near 0 and near pi alike.
+    """
+    q = quaternion_from_matrix(rotation)
+    vector, scalar = q[..., 1:], q[..., :1]
+    sine = np.linalg.norm(vector, axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(sine, scalar)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.where(sine > 1e-12, angle / sine, 2.0)
+    return np.asarray(factor * vector)
+
+
+def quaternion_from_matrix(rotation: ArrayLike) -> Array:
+    """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (w, x, y, z) with w >= 0."""
+    R = np.asarray(rotation, dtype=np.float64)
+    diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
+    trace = diagonal.sum(-1)
+    # Four times the outer product of the quaternion with itself; the row of its largest entry is well conditioned.
+    outer = np.empty((*R.shape[:-2], 4, 4))
+    outer[..., 0, 0] = 1 + trace
+    for i in range(3):
+        outer[..., i + 1, i + 1] = 1 - trace + 2 * diagonal[..., i]
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        outer[..., 0, i + 1] = outer[..., i + 1, 0] = R[..., k, j] - R[..., j, k]
+        outer[..., i + 1, j + 1] = outer[..., j + 1, i + 1] = R[..., i, j] + R[..., j, i]
+    best = np.argmax(np.stack([outer[..., i, i] for i in range(4)], axis=-1), axis=-1)
+    q = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., :1] < 0, -q, q)
+
+
+def se3_exp(twist: ArrayLike) -> Array:
+    """Twist (..., 6) as [translation part, rotation part] -> (..., 4, 4)."""
+    xi = np.asarray(twist, dtype=np.float64)
+    rho, w = xi[..., :3], xi[..., 3:]
+    a, b, c = _rodrigues_coefficients(w)
+    K = hat(w)
+    K2 = K @ K
+    out = np.zeros((*xi.shape[:-1], 4, 4))
+    out[..., :3, :3] = np.eye(3) + a * K + b * K2
+    out[..., :3, 3] = ((np.eye(3) + b * K + c * K2) @ rho[..., None])[..., 0]
+    out[..., 3, 3] = 1
+    return out
+
+
+def se3_log(a_T_b: ArrayLike) -> Array:
+    """(..., 4, 4) -> twist (..., 6) as [translation part, rotation part]; the inverse of `se3_exp`."""
+    T = np.asarray(a_T_b, dtype=np.float64)
+    w = so3_log(T[..., :3, :3])
+    _, b, c = _rodrigues_coefficients(w)
+    K = hat(w)
+    V = np.eye(3) + b * K + c * (K @ K)
+    rho = np.linalg.solve(V, T[..., :3, 3, None])[..., 0]
+    return np.concatenate([rho, w], axis=-1)
+
+
+def _rodrigues_coefficients(w: Array) -> tuple[Array, Array, Array]:
+    """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3 of (..., 3) vectors, shaped (..., 1, 1)."""
+    t = np.linalg.norm(w, axis=-1)[..., None, None]
+    t2 = t * t
+    small = t < _SMALL_ANGLE
+    safe = np.where(small, 1.0, t)
+    a = np.where(small, 1 - t2 / 6, np.sin(safe) / safe)
+    # 1 - cos t loses digits; 2 sin^2(t/2) does not.
+    b = np.where(small, 0.5 - t2 / 24, 2 * np.sin(safe / 2) ** 2 / safe**2)
+    c = np.where(t < 1e-2, 1 / 6 - t2 / 120 + t2 * t2 / 5040, (safe - np.sin(safe)) / safe**3)
+    return a, b, c
+
+
+def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """(..., 3, 3) and (..., 3) -> (..., 4, 4)."""
+    R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
+    out = np.zeros((*R.shape[:-2], 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = R, t, 1
+    return out
+
+
+def inverse(a_T_b: ArrayLike) -> Array:
+    """Rigid inverse of (..., 4, 4): `b_T_a`."""
+    T = np.asarray(a_T_b, dtype=np.float64)
+    R = np.swapaxes(T[..., :3, :3], -1, -2)
+    return make_transform(R, -(R @ T[..., :3, 3, None])[..., 0])
+
+
+def transform(a_T_b: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
+    """Map points (..., 3) in frame b to frame a with one (4, 4) transform; keeps the points' dtype."""
+    T = np.asarray(a_T_b).astype(points.dtype)
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def rotation_angle(rotation: ArrayLike) -> Array:
+    """Angle in radians of rotation matrices (..., 3, 3)."""
+    return np.asarray(np.linalg.norm(so3_log(rotation), axis=-1))
+
+
+def kabsch(
+    curr: NDArray[Any], prev: NDArray[Any], weights: NDArray[Any] | None = None
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Weighted least-squares rigid motion `prev_T_curr` of matched points; batched.
+
+    Minimises `sum w |R curr + t - prev|^2` (Kabsch 1976; the reflection guard is Umeyama 1991, equation 43).
+
+    Args:
+        curr, prev: (..., N, 3) metres.
+        weights: (..., N), not negative; ones when None.
+
+    Returns:
+        (..., 4, 4) transforms, and (...,) bool: False where the points do not fix the rotation (fewer than three
+        that count, or all on one line). Such a transform is still rigid and still a minimiser, one of many.
+
+    Raises:
+        GeometryError: shapes that do not fit, points that are not finite, or weights that are negative or not finite.
+    """
+    p, q = np.asarray(curr, dtype=np.float64), np.asarray(prev, dtype=np.float64)
+    if p.shape != q.shape or p.ndim < 2 or p.shape[-1] != 3:
+        raise GeometryError(f"kabsch needs two (..., N, 3) arrays of one shape, not {p.shape} and {q.shape}")
+    if not (np.isfinite(p).all() and np.isfinite(q).all()):
+        raise GeometryError("kabsch needs finite points: leave out those without depth")
+    w = np.ones(p.shape[:-1]) if weights is None else np.asarray(weights, dtype=np.float64)
+    if w.shape != p.shape[:-1] or not np.isfinite(w).all() or (w < 0).any():
+        raise GeometryError(f"kabsch needs finite weights >= 0 of shape {p.shape[:-1]}")
+    total = w.sum(-1)[..., None]
+    w = w / np.where(total > 0, total, 1)
+    p_mean, q_mean = (w[..., None] * p).sum(-2), (w[..., None] * q).sum(-2)
+    p0, q0 = p - p_mean[..., None, :], q - q_mean[..., None, :]
+    H = np.swapaxes(w[..., None] * q0, -1, -2) @ p0
+    U, S, Vt = np.linalg.svd(H)
+    sign = np.sign(np.linalg.det(U @ Vt))
+    D = np.zeros_like(H)
+    D[..., 0, 0] = D[..., 1, 1] = 1
+    D[..., 2, 2] = np.where(sign == 0, 1, sign)
+    R = U @ D @ Vt
+    out = make_transform(R, q_mean - (R @ p_mean[..., None])[..., 0])
+    # Rank 2 is enough (a plane): the third axis follows from the guard. Rank 1 or 0 is not.
+    spread = (w[..., None] * p0**2).sum((-1, -2))
+    determined = (S[..., 1] > 1e-6 * np.maximum(S[..., 0], 1e-300)) & (spread > 1e-16) & (total[..., 0] > 0)
+    return out, np.asarray(determined)

@@ -1,0 +1,1 @@
+"""Every method that turns two frames into moving objects."""

@@ -1,0 +1,112 @@
+"""The two constraints of a pixel, on brightness and on depth, linear in a twist."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.methods.baselines.vo_sf.pyramid import Level, make_level
+
+Floats = NDArray[np.float32]
+
+PHOTOMETRIC_WEIGHT = np.float32(0.15)
+"""Weight of brightness (0..1) against metres of depth."""
+_STEP_FLOOR = {"gray": np.float32(1e-6), "depth": np.float32(0.005)}
+"""Added to the differences that weight a derivative's two sides."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gradients:
+    """Derivatives of a level along u, v (a pixel) and time, each (H, W) float32, of gray and of depth.
+
+    Attributes:
+        gray, depth: each (3, H, W): along u, along v, second frame minus first.
+        middle: the level half way between the two frames, where the derivatives are taken.
+        usable: (H, W) bool: both frames have depth, and not on the image border.
+    """
+
+    gray: Floats
+    depth: Floats
+    middle: Level
+    usable: NDArray[np.bool_]
+
+
+def gradients(first: Level, warped: Level) -> Gradients:
+    """Derivatives between the first frame and the second as warped onto it.
+
+    A derivative is the mean of the differences to both sides, each weighted by the size of the other, so that a
+    pixel beside an edge takes the slope of its own side.
+    """
+    both = (first.depth > 0) & (warped.depth > 0)
+    depth = np.where(both, (first.depth + warped.depth) / 2, 0).astype(np.float32)
+    middle = make_level((first.gray + warped.gray) / np.float32(2), depth, first.camera)
+    usable = both.copy()
+    usable[[0, -1]] = usable[:, [0, -1]] = False
+    return Gradients(
+        gray=np.stack([*_slopes(middle.gray, both, "gray"), warped.gray - first.gray]),
+        depth=np.stack([*_slopes(depth, both, "depth"), warped.depth - first.depth]),
+        middle=middle,
+        usable=usable,
+    )
+
+
+def constraints(level: Gradients, gray_weight: Floats, depth_weight: Floats) -> tuple[Floats, Floats]:
+    """Rows J and values r of every pixel, to solve `J twist = r` for the motion that takes second to first.
+
+    A point that moves by d = v + w x P changes brightness by -grad I . (its pixel's motion), and depth by d_z less
+    the same product: both are a . d with a vector a, hence J = [a, P x a].
+
+    Args:
+        level: the derivatives.
+        gray_weight, depth_weight: (H, W) weights of the two rows; that of colour is without PHOTOMETRIC_WEIGHT.
+
+    Returns:
+        J (H, W, 2, 6) and r (H, W, 2) float32, colour first; the twist is [translation, rotation].
+    """
+    X, Y, Z = np.moveaxis(level.middle.points, -1, 0)
+    camera = level.middle.camera
+    inverse = 1 / np.where(Z > 0, Z, 1)
+    J = np.empty((*Z.shape, 2, 6), np.float32)
+    r = np.empty((*Z.shape, 2), np.float32)
+    for row, (slope, weight) in enumerate(
+        ((level.gray, gray_weight * PHOTOMETRIC_WEIGHT), (level.depth, depth_weight))
+    ):
+        gx = np.float32(camera.fx) * inverse * slope[0]
+        gy = np.float32(camera.fy) * inverse * slope[1]
+        ax, ay, az = -gx, -gy, (gx * X + gy * Y) * inverse + np.float32(row)
+        for k, value in enumerate((ax, ay, az, Y * az - Z * ay, Z * ax - X * az, X * ay - Y * ax)):
+            J[..., row, k] = weight * value
+        r[..., row] = -weight * slope[2]
+    return J, r
+
+
+def uncertainty_weights(level: Gradients, trust: Floats) -> tuple[Floats, Floats]:
+    """(H, W) weights of colour and depth: low where derivatives are large and linearisation bad.
+
+    Args:
+        level: the derivatives.
+        trust: (H, W) factor of both, less than 1 where a static cluster may yet be moving.
+    """
+    out = []
+    for slope, noise, gain in ((level.gray, 1.0, 10.0), (level.depth, 0.01, 200.0)):
+        weight = np.sqrt(trust / (np.float32(noise) + np.float32(gain) * (slope**2).sum(0)))
+        weight = np.where(level.usable, weight, np.float32(0))
+        out.append(weight / max(float(weight.max()), 1e-12))
+    return out[0].astype(np.float32), out[1].astype(np.float32)
+
+
+def _slopes(image: Floats, both: NDArray[np.bool_], kind: str) -> tuple[Floats, Floats]:
+    return _slope_along_rows(image, both, kind), _slope_along_rows(image.T, both.T, kind).T
+
+
+def _slope_along_rows(image: Floats, both: NDArray[np.bool_], kind: str) -> Floats:
+    step = np.diff(image, axis=1)
+    # Where a pixel has no depth, the difference to its right counts as one.
+    size = np.where(both[:, :-1], np.abs(step) + _STEP_FLOOR[kind], np.float32(1))
+    left, right = size[:, :-1], size[:, 1:]
+    slope = np.empty_like(image)
+    slope[:, 1:-1] = (left * step[:, 1:] + right * step[:, :-1]) / (left + right)
+    slope[:, 0], slope[:, -1] = slope[:, 1], slope[:, -2]
+    return slope

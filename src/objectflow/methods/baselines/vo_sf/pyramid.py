@@ -1,0 +1,110 @@
+"""The image pyramid: gray, depth and points at five resolutions, halved without mixing surfaces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.alignment import matching
+from objectflow.errors import FrameError
+from objectflow.frame import MAX_MEDIAN_DEPTH, MIN_MEDIAN_DEPTH, RgbdFrame
+from objectflow.geometry.camera import Camera
+
+Floats = NDArray[np.float32]
+
+WIDTH, HEIGHT, LEVELS = 320, 240, 5
+"""Pixels of the finest level, and the number of levels: 15x20 at the coarsest."""
+
+_MASK = np.outer([1, 2, 2, 1], [1, 2, 2, 1]).astype(np.float32) / np.float32(36)
+_SURFACE = np.float32(0.1)
+"""Metres: depth further than this from the block's own does not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """One resolution of one frame.
+
+    Attributes:
+        gray: (H, W) float32, 0..1.
+        points: (H, W, 3) float32 metres, camera frame; 0 where depth is missing.
+        camera: of this resolution.
+    """
+
+    gray: Floats
+    points: Floats
+    camera: Camera
+
+    @property
+    def depth(self) -> Floats:
+        """(H, W) float32 metres, 0 where missing."""
+        return self.points[..., 2]
+
+
+def make_level(gray: Floats, depth: Floats, camera: Camera) -> Level:
+    """Back-project a level's depth; its pixels without depth get the point 0."""
+    rays = geometry.pixel_grid(camera)
+    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
+    return Level(gray, points, camera)
+
+
+def build_pyramid(frame: RgbdFrame) -> list[Level]:
+    """The levels of a frame, finest (240x320) first.
+
+    Raises:
+        FrameError: at this resolution no pixel with a sensible depth is left.
+    """
+    frame = frame.resized(WIDTH, HEIGHT)
+    gray = matching.gray(frame.color).astype(np.float32) / np.float32(255)
+    sensible = (frame.depth >= MIN_MEDIAN_DEPTH) & (frame.depth <= MAX_MEDIAN_DEPTH)
+    if not sensible.any():
+        raise FrameError(
+            f"{frame.name}: no depth from 5 mm to 50 m is left at {WIDTH}x{HEIGHT}: check the depth image"
+        )
+    depth, camera = np.where(sensible, frame.depth, np.float32(0)), frame.camera
+    levels = [make_level(gray, depth, camera)]
+    for _ in range(LEVELS - 1):
+        gray, depth = _halve(gray, depth)
+        camera = camera.scaled(camera.width // 2, camera.height // 2)
+        levels.append(make_level(gray, depth, camera))
+    return levels
+
+
+def _halve(gray: Floats, depth: Floats) -> tuple[Floats, Floats]:
+    """Halve both images: a 4x4 binomial-like mask, its weights falling with the distance in depth.
+
+    A block's own depth is the second largest of its central four, so that one stray value cannot set it. On the image
+    border, and for gray where the block has no depth, plain means are taken.
+    """
+    rows, columns = depth.shape[0] // 2, depth.shape[1] // 2
+    padded_gray, padded_depth = np.pad(gray, 1), np.pad(depth, 1)
+
+    def shifted(image: Floats, row: int, column: int) -> Floats:
+        return image[row : row + 2 * rows : 2, column : column + 2 * columns : 2]
+
+    a, b, c, d = (shifted(padded_depth, i, j) for i in (1, 2) for j in (1, 2))
+    own = np.maximum(np.minimum(np.maximum(a, b), np.maximum(c, d)), np.maximum(np.minimum(a, b), np.minimum(c, d)))
+    total, gray_sum, depth_sum, plain = (np.zeros((rows, columns), np.float32) for _ in range(4))
+    for i in range(4):
+        for j in range(4):
+            near, brightness = shifted(padded_depth, i, j), shifted(padded_gray, i, j)
+            weight = _MASK[i, j] * np.maximum(_SURFACE - np.abs(near - own), 0) * (near > 0)
+            total += weight
+            depth_sum += weight * near
+            gray_sum += weight * brightness
+            plain += _MASK[i, j] * brightness
+    some = (own > 0) & (total > 0)
+    safe = np.where(some, total, 1)
+    half_depth = np.where(some, depth_sum / safe, 0)
+    half_gray = np.where(some, gray_sum / safe, plain)
+
+    four = np.stack([a, b, c, d])
+    count = (four > 0).sum(0)
+    border = np.ones((rows, columns), bool)
+    border[1:-1, 1:-1] = False
+    mean_gray = sum(shifted(padded_gray, i, j) for i in (1, 2) for j in (1, 2)) / np.float32(4)
+    half_depth = np.where(border, four.sum(0) / np.maximum(count, 1), half_depth)
+    half_gray = np.where(border, mean_gray, half_gray)
+    return half_gray.astype(np.float32), half_depth.astype(np.float32)

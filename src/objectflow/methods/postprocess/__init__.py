@@ -1,0 +1,1 @@
+"""The steps between a network's output and the result; `pipeline` is their order."""

@@ -1,0 +1,1 @@
+"""The default method: the network RigidMatch and the steps around it."""

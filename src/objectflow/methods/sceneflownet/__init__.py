@@ -1,0 +1,1 @@
+"""The paper's method: SceneFlowNet, grouping and averaged rigid motions."""

@@ -1,0 +1,120 @@
+"""Dense maps of one pair -> objects: grouped pixels, a rigid motion for each group, and the flow that follows."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objectflow.errors import MethodError
+from objectflow.geometry.resample import nearest
+from objectflow.methods.labels import keep_seen, rigid_flow
+from objectflow.methods.sceneflownet.averaging import average_motions
+from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.networks.sceneflownet.outputs import DenseMotion, scene_flow
+
+Labels = NDArray[np.int32]
+Floats = NDArray[np.float32]
+
+
+def dense_to_motion(
+    output: DenseMotion,
+    curr_points: Tensor,
+    *,
+    rigid: Literal["none", "average"] = "average",
+    grouping: GroupingSettings | None = None,
+) -> SceneMotion:
+    """What the maps of one pair say, on their own pixels.
+
+    Args:
+        output: (1, C, H, W) on any device.
+        curr_points: (1, 3, H, W) metres, NaN where depth is missing.
+        rigid: "none" takes each pixel's own flow (equation 1), "average" the one that its object's mean motion makes.
+        grouping: the defaults when None.
+
+    Returns:
+        Labels, objects with their mean motions, and flow: 0 off the objects, NaN where depth is missing.
+
+    Raises:
+        MethodError: more than one pair, points of another size, or another `rigid`.
+    """
+    if rigid not in ("none", "average"):
+        raise MethodError(f"rigid must be none or average here, not {rigid!r}")
+    if output.mask.shape[0] != 1 or curr_points.shape != (1, 3, *output.mask.shape[-2:]):
+        raise MethodError(
+            f"one pair's maps and points are needed, not {tuple(output.mask.shape)} and {tuple(curr_points.shape)}"
+        )
+    measured = torch.isfinite(curr_points[0]).all(dim=0)
+    labels = label_pixels(output, grouping)
+    labels, objects = keep_seen(labels, average_objects(output, labels, measured.cpu().numpy()))
+    points = curr_points[0].permute(1, 2, 0).float().cpu().numpy()
+    flow = pixel_flow(output, labels, points) if rigid == "none" else rigid_flow(objects, labels, points)
+    return SceneMotion(labels=labels, scene_flow=flow, objects=objects)
+
+
+def label_pixels(output: DenseMotion, grouping: GroupingSettings | None = None) -> Labels:
+    """Group the foreground of one pair's maps in trajectory space; see `grouping.group`.
+
+    Pixels without depth take part: the network sees what lies around them.
+
+    Returns:
+        (H, W) int32, 0 = background.
+    """
+    grouping = grouping or GroupingSettings()
+    rotation, translation, center, mask, centrality, radius = (one[0].detach().float() for one in output)
+    feature = trajectory_feature(center, translation, rotation, grouping.rotation_weight)
+    foreground = (mask[1] > mask[0]) & rotation.isfinite().all(dim=0)
+    return group(feature, foreground, centrality[1] - centrality[0], radius[0], grouping).cpu().numpy()
+
+
+def average_objects(output: DenseMotion, labels: Labels, measured: NDArray[np.bool_]) -> tuple[ObjectMotion, ...]:
+    """The mean motion of each label, over its pixels with depth; see `averaging.average_motions`.
+
+    Args:
+        output: one pair's maps.
+        labels: (H, W) int32, from `label_pixels`.
+        measured: (H, W) bool: where there is depth. X is a guess elsewhere.
+
+    Returns:
+        An object for each label that has depth somewhere, its score the mean probability of foreground.
+    """
+    with torch.no_grad():
+        confidence = (output.mask[0, 1] - output.mask[0, 0]).float().sigmoid().cpu().numpy()
+    return average_motions(
+        np.where(measured, labels, 0).astype(np.int32),
+        _array(output.rotation),
+        _array(output.translation),
+        _array(output.center),
+        confidence=confidence,
+    )
+
+
+def pixel_flow(output: DenseMotion, labels: Labels, points: Floats) -> Floats:
+    """Equation 1 with each pixel's own Q, T and X: the network's flow before any averaging.
+
+    Args:
+        output: one pair's maps, at any size: each pixel takes the nearest prediction.
+        labels: (H, W) int32.
+        points: (H, W, 3) metres, NaN where depth is missing.
+
+    Returns:
+        (H, W, 3) float32 metres: 0 where labels are 0, NaN where depth is missing.
+    """
+    rows, columns = nearest(output.mask.shape[-2:], labels.shape)
+    y, x = np.nonzero(labels)
+    index = torch.from_numpy(rows[y] * output.mask.shape[-1] + columns[x])
+    with torch.no_grad():
+        Q, T, X = (one.float().flatten(2).cpu()[..., index] for one in output[:3])
+        moved = scene_flow(Q, T, X, torch.from_numpy(points[y, x].T[None].copy()))
+    flow = np.where(np.isnan(points), points, np.float32(0))
+    flow[y, x] = moved[0].T.numpy()
+    return flow
+
+
+def _array(one: Tensor) -> NDArray[Any]:
+    """(1, 3, H, W) -> (H, W, 3)."""
+    return one[0].detach().permute(1, 2, 0).float().cpu().numpy()

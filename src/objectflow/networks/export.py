@@ -1,0 +1,123 @@
+"""A network as an ONNX file of one input size, compared with torch before it is written."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from objectflow.errors import MethodError, MissingExtraError
+from objectflow.networks import DenseMotion, SceneFlowNet
+from objectflow.networks.rigidmatch.export_form import SolveLater
+from objectflow.networks.weights import Network
+from objectflow.storage import files
+
+OPSET = 17
+INPUTS = ("prev_color", "prev_points", "curr_color", "curr_points")
+TOLERANCE = 1e-4
+"""Largest difference from torch, as a share of a map's largest value. Sums in another order differ by less."""
+
+
+def export_onnx(
+    path: str | Path, network: Network, size: tuple[int, int], metadata: Mapping[str, Any] | None = None
+) -> dict[str, float]:
+    """Write a network for frames of one size, whole or not at all.
+
+    The graph has the four inputs of `SceneFlowNet.forward` (1, 3, H, W), NaN where depth is missing, and the six maps
+    of `DenseMotion` as outputs, all by name; for a `RigidMatch` those of `SolveLater`, since a graph has no singular
+    value decomposition. Its metadata holds, as JSON under "objectflow", the network's settings, the size and
+    `metadata`.
+
+    Args:
+        path: of the file; one that exists is replaced.
+        network: any, in any mode; it is left as it is.
+        size: (H, W).
+        metadata: what is known about the weights.
+
+    Returns:
+        The largest difference between onnxruntime and torch of each map, as a share of the map's largest value.
+
+    Raises:
+        MissingExtraError: onnx or onnxruntime is missing.
+        MethodError: a size that no image has, or a graph that says something else than torch.
+        StorageError: the disk refused.
+    """
+    path = Path(path)
+    try:
+        import onnx
+        import onnxruntime
+    except ImportError as error:
+        raise MissingExtraError(f'export needs {error.name}: pip install "objectflow[onnx]"') from error
+    if min(size) < 8:
+        raise MethodError(f"export needs a size of at least 8x8, not {size[0]}x{size[1]}")
+    frames = _frames(size)
+    data, expected = _trace(network, frames)
+    model = onnx.load_model_from_string(data)
+    onnx.checker.check_model(model)
+    about = {"network": network.settings.to_dict(), "size": list(size), "metadata": dict(metadata or {})}
+    onnx.helper.set_model_props(model, {"objectflow": json.dumps(about, sort_keys=True)})
+    data = model.SerializeToString()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors only: its warnings are about its own optimiser
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    found = session.run(list(expected), {name: frames[name].numpy() for name in INPUTS})
+    differences = _compare(path, dict(zip(expected, found, strict=True)), expected)
+    files.write_bytes(path, data)
+    return differences
+
+
+def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
+    """The graph, and what torch makes of the same frames."""
+    training, device = network.training, next(network.parameters()).device
+    form = network if isinstance(network, SceneFlowNet) else SolveLater(network)
+    names = DenseMotion._fields if isinstance(network, SceneFlowNet) else SolveLater.OUTPUTS
+    try:
+        network.eval().cpu()
+        with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
+            warnings.simplefilter("ignore")  # of tracing: sizes are fixed here, and that is what is wanted
+            expected = dict(zip(names, form(*frames.values()), strict=True))
+            torch.onnx.export(
+                form,
+                tuple(frames.values()),
+                Path(folder) / "network.onnx",
+                input_names=list(INPUTS),
+                output_names=list(names),
+                opset_version=OPSET,
+                # The other exporter needs one more library and minutes for the 441 displacements.
+                dynamo=False,
+            )
+            data = (Path(folder) / "network.onnx").read_bytes()
+    finally:
+        network.train(training).to(device)
+    return data, expected
+
+
+def _frames(size: tuple[int, int]) -> dict[str, Tensor]:
+    """Noise about a table's distance, with holes: every path through the network is taken."""
+    generator = torch.Generator().manual_seed(0)
+    frames = {}
+    for name in INPUTS:
+        image = torch.rand(1, 3, *size, generator=generator)
+        if name.endswith("points"):
+            image[:, :, torch.rand(size, generator=generator) < 0.1] = torch.nan
+        frames[name] = image
+    return frames
+
+
+def _compare(path: Path, found: dict[str, NDArray[Any]], expected: dict[str, Tensor]) -> dict[str, float]:
+    differences = {}
+    for name, value in expected.items():
+        true = value.numpy()
+        share = float(np.abs(found[name] - true).max() / max(np.abs(true).max(), 1e-6))
+        if not share <= TOLERANCE:  # written so that NaN fails too
+            raise MethodError(f"{path}: not written: {name} differs from torch by {share:.1e} of its largest value")
+        differences[name] = share
+    return differences

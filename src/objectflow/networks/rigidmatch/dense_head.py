@@ -1,0 +1,91 @@
+"""What the matches mean, pixel by pixel: votes for centres, foreground, and which matches can be relied on."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from objectflow.networks.rigidmatch.encoder import Block
+from objectflow.networks.rigidmatch.inputs import Grid
+from objectflow.networks.rigidmatch.matching import CoarseMatch
+from objectflow.networks.rigidmatch.refinement import FineMatch
+from objectflow.networks.rigidmatch.settings import RigidMatchSettings
+
+_DECIMETRES = 10.0
+"""A metre in units in which motions are about 1."""
+_HEADS = 6 + 3
+
+
+class Scene(NamedTuple):
+    """Of the current frame.
+
+    Attributes:
+        tokens: (B, C, h, w) features of the coarse grid.
+        pixels: (B, C', H, W) features of the fine grid.
+        votes: (B, 6, H, W) metres: [X, X + T].
+        reliability, foreground, seed: (B, 1, H, W) logits.
+        upsampling: (B, 9, f^2, H, W), weights that sum to 1 over the nine neighbours.
+    """
+
+    tokens: Tensor
+    pixels: Tensor
+    votes: Tensor
+    reliability: Tensor
+    foreground: Tensor
+    seed: Tensor
+    upsampling: Tensor
+
+
+class SceneHead(nn.Module):
+    """Looks at features, matched motion and its trust together, on the coarse and then on the fine grid."""
+
+    def __init__(self, settings: RigidMatchSettings) -> None:
+        super().__init__()
+        fine, coarse = settings.fine_channels, settings.channels
+        self.factor = settings.fine_stride
+        self.mix = nn.Sequential(
+            nn.Conv2d(2 * coarse + 8, coarse, 1, bias=False), nn.BatchNorm2d(coarse), nn.ReLU(inplace=True)
+        )
+        self.coarse = nn.Sequential(Block(coarse, coarse), Block(coarse, coarse))
+        self.down = nn.Conv2d(coarse, fine, 1)
+        self.join = nn.Sequential(
+            nn.Conv2d(2 * fine + 8, fine, 1, bias=False), nn.BatchNorm2d(fine), nn.ReLU(inplace=True)
+        )
+        self.fine = Block(fine, fine)
+        self.heads = nn.Conv2d(fine, _HEADS, 1)
+        self.guide = nn.Conv2d(fine, 9 * self.factor**2, 1)
+
+    def forward(
+        self, fine: Tensor, tokens: Tensor, coarse: CoarseMatch, match: FineMatch, grids: tuple[Grid, Grid]
+    ) -> Scene:
+        """Judge.
+
+        Args:
+            fine: (B, C', H, W) features of the current frame.
+            tokens: (B, C, h, w) of the coarse grid, after attention.
+            coarse, match: its matches.
+            grids: the current frame's points, coarse and fine.
+        """
+        size = coarse.shift.shape[-2:]
+        hidden = coarse.hidden.sigmoid().reshape(-1, 1, *size)
+        known = [coarse.shift[:, 2:] * _DECIMETRES, coarse.confidence, hidden, grids[0].points]
+        around = self.coarse(self.mix(torch.cat([tokens, coarse.feature, *known], dim=1)))
+        below = F.interpolate(self.down(around), scale_factor=2.0, mode="nearest")
+        moved = (match.match - grids[1].points) * _DECIMETRES
+        known = [moved, match.confidence, match.peak, grids[1].points]
+        pixels = self.fine(self.join(torch.cat([fine, below, *known], dim=1)))
+        found, guide = self.heads(pixels).float(), self.guide(pixels).float()
+        # Centres as offsets: from where the pixel is, and from where it was.
+        votes = torch.cat([grids[1].points + found[:, :3], match.match + found[:, 3:6]], dim=1)
+        return Scene(
+            tokens=around,
+            pixels=pixels,
+            votes=votes,
+            reliability=found[:, 6:7],
+            foreground=found[:, 7:8],
+            seed=found[:, 8:9],
+            upsampling=guide.reshape(len(guide), 9, self.factor**2, *guide.shape[-2:]).softmax(dim=1),
+        )

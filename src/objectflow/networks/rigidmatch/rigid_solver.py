@@ -1,0 +1,59 @@
+"""Motion by solving: weighted least squares over each object's matches (Kabsch 1976, Umeyama 1991)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from objectflow.geometry.torch_se3 import nearest_rotation
+
+
+def solve_motions(
+    weights: Tensor, curr: Tensor, prev: Tensor, votes: Tensor, *, prior: float = 0.0, arm: float = 0.02
+) -> tuple[Tensor, Tensor]:
+    """The rigid motion of every object that maps its points to their matches best.
+
+    Sums over points are matrix products of the weights with first and second moments, in float64: no tensor has
+    objects, points and coordinates at once.
+
+    Args:
+        weights: (B, Q, N), not negative.
+        curr, prev: (B, N, 3) metres, finite.
+        votes: (B, Q, 6) metres, [X, X + T]: what is believed where no match says anything.
+        prior: how many matches that belief counts for; 0 is plain least squares.
+        arm: metres: the belief's "no turn" is worth points so far from the centre.
+
+    Returns:
+        rotation (B, Q, 3, 3) and translation (B, Q, 3): P_prev = rotation P_curr + translation. Without weights and
+        prior a rotation is the identity, with gradient 0.
+    """
+    with torch.autocast(weights.device.type, enabled=False):
+        w, p, q = weights.double(), curr.double(), prev.double()
+        X, Y = votes[..., :3].double(), votes[..., 3:].double()
+        total = w.sum(-1, keepdim=True) + prior
+        safe = torch.where(total > 0, total, torch.ones_like(total))
+        p_mean, q_mean = (w @ p + prior * X) / safe, (w @ q + prior * Y) / safe
+        products = (q[..., :, None] * p[..., None, :]).flatten(2)
+        H = (w @ products / safe).reshape(*w.shape[:2], 3, 3) - q_mean[..., :, None] * p_mean[..., None, :]
+        eye = torch.eye(3, dtype=H.dtype, device=H.device)
+        H = H + (prior / safe)[..., None] * (Y[..., :, None] * X[..., None, :] + arm**2 * eye)
+        H = torch.where((total > 0)[..., None], H, eye)
+        R = nearest_rotation(H)
+        t = q_mean - (R @ p_mean[..., None])[..., 0]
+    return R.to(curr.dtype), t.to(curr.dtype)
+
+
+@torch.no_grad()
+def agreement(rotation: Tensor, translation: Tensor, curr: Tensor, prev: Tensor, scale: float) -> Tensor:
+    """Cauchy weights of matches under motions: `scale^2 / (scale^2 + error^2)`.
+
+    Args:
+        rotation, translation: (B, Q, 3, 3) and (B, Q, 3).
+        curr, prev: (B, N, 3) metres.
+        scale: metres.
+
+    Returns:
+        (B, Q, N) in 0..1.
+    """
+    moved = torch.einsum("bqij,bnj->bqni", rotation, curr) + translation[:, :, None]
+    return scale**2 / (scale**2 + (moved - prev[:, None]).square().sum(-1))

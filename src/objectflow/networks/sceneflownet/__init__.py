@@ -1,0 +1,1 @@
+"""The paper's networks: SceneFlowNet-s, -c and -c-vl."""

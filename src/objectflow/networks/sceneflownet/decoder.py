@@ -1,0 +1,120 @@
+"""The hourglass with skip links, and the six linear heads."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from objectflow.networks.sceneflownet.outputs import DenseMotion
+from objectflow.networks.sceneflownet.settings import NetworkSettings, Widths
+
+FRAME_CHANNELS = 7
+"""Of a frame as it is linked to fine stages: colour, point, and whether there is one."""
+
+
+class Doubling(nn.ConvTranspose2d):
+    """5x5 transposed convolution with stride 2, to an exact size: 2 n or 2 n - 1 (15 cells halve to 8)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__(inputs, outputs, 5, stride=2, padding=2)
+
+    def to_size(self, x: Tensor, height: int, width: int) -> Tensor:
+        """(B, inputs, H, W) -> (B, outputs, height, width)."""
+        extra = (height - (2 * x.shape[-2] - 1), width - (2 * x.shape[-1] - 1))
+        return F.conv_transpose2d(x, self.weight, self.bias, stride=2, padding=2, output_padding=extra)
+
+
+class Rise(nn.Module):
+    """One stage upward: double the size, add the skip link, rectify, then 3x3 layers."""
+
+    def __init__(self, inputs: int, widths: Widths, skip: int | None) -> None:
+        super().__init__()
+        self.enlarge = Doubling(inputs, widths[0])
+        self.link = None if skip is None else nn.Conv2d(skip, widths[0], 3, padding=1)
+        self.layers = _layers(widths)
+
+    def forward(self, x: Tensor, skip: Tensor | None = None) -> Tensor:
+        """(B, inputs, H, W), and the skip of twice the size -> (B, last width, 2 H, 2 W)."""
+        height, width = (2 * x.shape[-2], 2 * x.shape[-1]) if skip is None else skip.shape[-2:]
+        x = self.enlarge.to_size(x, height, width)
+        if self.link is not None and skip is not None:
+            x = x + self.link(skip)
+        out: Tensor = self.layers(torch.relu(x))
+        return out
+
+
+class Hourglass(nn.Module):
+    """Down to an eighth of the cells' resolution and up again, then on to the pixels' resolution.
+
+    (B, inputs, H / 8, W / 8) -> (B, last of `fine`, H, W).
+    """
+
+    def __init__(self, inputs: int, settings: NetworkSettings) -> None:
+        super().__init__()
+        self.down = nn.ModuleList()
+        for depth, widths in enumerate(settings.down):
+            first = nn.Conv2d(inputs, widths[0], 5 if depth else 3, 2 if depth else 1, 2 if depth else 1)
+            self.down.append(nn.Sequential(first, nn.ReLU(inplace=True), _layers(widths)))
+            inputs = widths[-1]
+        self.up = nn.ModuleList()
+        for widths, skip in zip(settings.up, reversed(settings.down[:-1]), strict=True):
+            self.up.append(Rise(inputs, widths, skip[-1]))
+            inputs = widths[-1]
+        self.fine = nn.ModuleList()
+        for widths in settings.fine:
+            self.fine.append(Rise(inputs, widths, FRAME_CHANNELS if settings.details else None))
+            inputs = widths[-1]
+        self.channels = inputs
+
+    def forward(self, x: Tensor, details: Sequence[Tensor] = ()) -> Tensor:
+        """Features at the input's resolution; `details`, if settings ask for them, are frames at strides 4, 2, 1."""
+        skips = []
+        for stage in self.down:
+            x = stage(x)
+            skips.append(x)
+        for stage, skip in zip(self.up, reversed(skips[:-1]), strict=True):
+            x = stage(x, skip)
+        for stage, detail in zip(self.fine, details or (None,) * len(self.fine), strict=True):
+            x = stage(x, detail)
+        return x
+
+
+def _layers(widths: Sequence[int]) -> nn.Sequential:
+    """3x3 layers with ReLU from each width to the next; the first width is what comes in."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in itertools.pairwise(widths):
+        layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers)
+
+
+class Heads(nn.Module):
+    """One 3x3 linear layer for each map: (B, inputs, H, W) -> `DenseMotion`, whose centre is an offset still."""
+
+    CHANNELS = DenseMotion(rotation=3, translation=3, center=3, mask=2, centrality=2, radius=1)  # type: ignore[arg-type]
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        names = DenseMotion._fields
+        self.maps = nn.ModuleDict(
+            {name: nn.Conv2d(inputs, cast(int, getattr(self.CHANNELS, name)), 3, padding=1) for name in names}
+        )
+
+    def forward(self, x: Tensor) -> DenseMotion:
+        """All maps; in float32 also where autocast would make them bfloat16, whose steps are millimetres."""
+        if torch.is_autocast_enabled(x.device.type):
+            with torch.autocast(x.device.type, enabled=False):
+                return self._apply_all(x.float())
+        return self._apply_all(x)
+
+    def _apply_all(self, x: Tensor) -> DenseMotion:
+        # As one layer: the features, the largest tensor of all, are read once instead of six times.
+        heads = [cast(nn.Conv2d, self.maps[name]) for name in DenseMotion._fields]
+        weight = torch.cat([head.weight for head in heads])
+        bias = torch.cat([cast(Tensor, head.bias) for head in heads])
+        maps = F.conv2d(x, weight, bias, padding=1)
+        return DenseMotion(*torch.split(maps, [head.out_channels for head in heads], dim=1))

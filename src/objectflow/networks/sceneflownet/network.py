@@ -1,0 +1,217 @@
+"""The network of the paper (figure 2): encoders, correlation, weighted max-pool, hourglass, heads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from objectflow.errors import MethodError
+from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
+from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
+from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
+from objectflow.networks.sceneflownet.normalized_convolution import MaskedShapeEncoder
+from objectflow.networks.sceneflownet.outputs import DenseMotion
+from objectflow.networks.sceneflownet.settings import NetworkSettings
+
+_STRIDE = 8
+"""Of the encoders; images are padded to a multiple of it and the maps cropped back."""
+_DISPLACEMENT_CHANNELS = 4
+_FIRST_SHARPNESS = 2.0
+"""Where first runs took it on their own, to within 0.1."""
+
+
+class SceneFlowNet(nn.Module):
+    """Two RGB-D frames -> dense maps of rigid motions: OurC, or OurS without `settings.correlation`.
+
+    Missing depth is an input of its own: points become 0 there, beside a fourth channel that is 1 where depth is; or,
+    with `settings.missing` "masked", they are left out of the XYZ encoder's sums.
+    """
+
+    def __init__(self, settings: NetworkSettings | None = None, *, generator: torch.Generator | None = None) -> None:
+        """Random weights.
+
+        Args:
+            settings: widths and depths; the paper's when None.
+            generator: of the random numbers; torch's global one when None.
+        """
+        super().__init__()
+        self.settings = settings or NetworkSettings()
+        cosine = self.settings.correlation and self.settings.correlation_cosine
+        self.sharpness = nn.Parameter(torch.tensor(_FIRST_SHARPNESS)) if cosine else None
+        """Logarithm of what cosines are multiplied by."""
+        shape_channels = self.settings.shape_stages[-1][-1]
+        if self.settings.correlation:
+            self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
+            masked = self.settings.missing == "masked"
+            stages = self.settings.shape_stages
+            self.shape_encoder: nn.Module = MaskedShapeEncoder(stages) if masked else shape_encoder(4, stages)
+            extra = _DISPLACEMENT_CHANNELS if self.settings.displacement else 0
+            self.hourglass = Hourglass(3 * shape_channels + extra, self.settings)
+        else:
+            self.color_encoder = None
+            self.shape_encoder = shape_encoder(2 * (3 + 4), self.settings.shape_stages)
+            self.hourglass = Hourglass(shape_channels, self.settings)
+        self.heads = Heads(self.hourglass.channels)
+        _initialise(self, generator)
+
+    def load_backbone(self, path: str | Path) -> None:
+        """Start the colour encoder from torchvision's `resnet50` weights; see `backbone.load_backbone`.
+
+        Raises:
+            MethodError: a file that does not fit, or a network without a colour encoder (OurS).
+        """
+        if self.color_encoder is None:
+            raise MethodError(f"{path}: the simple network has no colour trunk: leave backbone weights out")
+        load_backbone(self.color_encoder.trunk, path)
+
+    def forward(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> DenseMotion:
+        """Predict the motion from the current back to the previous frame.
+
+        Args:
+            prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
+            prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
+
+        Returns:
+            Maps at (H, W), whatever H and W are.
+        """
+        return self.predict(prev_color, prev_points, curr_color, curr_points)[0]
+
+    def predict(
+        self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
+    ) -> tuple[DenseMotion, Tensor | None]:
+        """`forward`, and the correlation (B, (2 L + 1)^2, H / 8, W / 8) as `correlate` orders it; None for OurS."""
+        height, width = curr_color.shape[-2:]
+        unit = self.settings.length_unit
+        origin = curr_points.new_tensor((0.0, 0.0, self.settings.origin_depth))[:, None, None]
+        prev_shape, curr_shape = (_with_validity((points - origin) / unit) for points in (prev_points, curr_points))
+        images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
+        features, correlation = self._encode(*images)
+        details = _pyramid(images[2], images[3]) if self.settings.details else ()
+        maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features, details))))
+        # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
+        center = maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:])
+        maps = maps._replace(
+            center=unit * center + origin, translation=unit * maps.translation, radius=unit * maps.radius
+        )
+        return maps, correlation
+
+    def _encode(
+        self, prev_color: Tensor, prev_shape: Tensor, curr_color: Tensor, curr_shape: Tensor
+    ) -> tuple[Tensor, Tensor | None]:
+        """Features at stride 8 for the hourglass, and the correlation."""
+        if self.color_encoder is None:
+            return self.shape_encoder(torch.cat([curr_color, prev_color, curr_shape, prev_shape], dim=1)), None
+        # Siamese: both frames in one batch.
+        curr_look, prev_look = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
+        curr_form, prev_form = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
+        reach = self.settings.reach
+        if self.sharpness is not None:
+            curr_look, prev_look = (F.normalize(look, dim=1) for look in (curr_look, prev_look))
+            correlation = correlate(curr_look, prev_look, reach) * self.sharpness.exp()
+            weights = (correlation - correlation.amax(1, keepdim=True)).exp()
+        else:
+            correlation = correlate(curr_look, prev_look, reach)
+            if self.settings.correlation_mean:
+                correlation = correlation / curr_look.shape[1]
+            weights = torch.relu(correlation)
+        matched_form = weighted_max_pool(weights, prev_form, reach)
+        parts = [curr_form, prev_form, matched_form]
+        if self.settings.displacement:
+            prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
+            parts.append(expected_displacement(correlation, prev_cells, curr_cells, reach))
+        return torch.cat(parts, dim=1), correlation
+
+
+def expected_displacement(correlation: Tensor, prev_cells: Tensor, curr_cells: Tensor, reach: int) -> Tensor:
+    """Where each cell's point was, on average over its patch by the softmax of its correlations, less where it is.
+
+    Args:
+        correlation: (B, (2 L + 1)^2, h, w), as `correlate` orders it.
+        prev_cells, curr_cells: (B, 4, h, w) points, and 1 where there is one.
+        reach: L, in cells.
+
+    Returns:
+        (B, 4, h, w): the displacement, 0 where the point or all it could match is missing; and the highest
+        probability among cells that have points.
+    """
+    height, width = correlation.shape[-2:]
+    patches = F.unfold(prev_cells, 2 * reach + 1, padding=reach)
+    patches = patches.reshape(len(prev_cells), 4, -1, height, width).to(correlation.dtype)
+    points, valid = patches[:, :3], patches[:, 3]
+    best = correlation.amax(1, keepdim=True).detach()
+    likely = (correlation - best).exp() * valid
+    share = likely / likely.sum(1, keepdim=True).clamp_min(torch.finfo(torch.float32).tiny)
+    mean = (points * share[:, None]).sum(2)
+    known = (share.sum(1, keepdim=True) > 0) & (curr_cells[:, 3:] > 0)
+    displacement = torch.where(known, mean - curr_cells[:, :3], 0.0)
+    return torch.cat([displacement, share.amax(1, keepdim=True)], dim=1)
+
+
+def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:
+    """The frame at strides 4, 2 and 1: mean colours, but single points, since means would lie between surfaces."""
+    return [
+        torch.cat([F.avg_pool2d(color, step) if step > 1 else color, shape[..., ::step, ::step]], dim=1)
+        for step in (4, 2, 1)
+    ]
+
+
+def _with_validity(points: Tensor) -> Tensor:
+    """(B, 3, H, W) with NaN -> (B, 4, H, W): points with 0 for NaN, and 1 where there is a point."""
+    valid = torch.isfinite(points).all(dim=1, keepdim=True)
+    return torch.cat([torch.where(valid, points, torch.zeros_like(points)), valid.to(points.dtype)], dim=1)
+
+
+def _pad(image: Tensor) -> Tensor:
+    """Zeros at the right and the bottom, up to multiples of the stride."""
+    height, width = image.shape[-2:]
+    return F.pad(image, (0, -width % _STRIDE, 0, -height % _STRIDE))
+
+
+def fill_holes(points: Tensor, valid: Tensor) -> Tensor:
+    """Give pixels without depth the mean of the points around them, from the smallest block that has any.
+
+    Args:
+        points: (B, 3, H, W) metres, 0 where not valid.
+        valid: (B, 1, H, W), 1 or 0.
+
+    Returns:
+        (B, 3, H, W): valid points unchanged; 0 where the whole image has none.
+    """
+    height, width = valid.shape[-2:]
+    filled, known = points, valid
+    block = 2
+    while block < 2 * max(height, width):
+        pad = (0, -width % block, 0, -height % block)
+        count = F.avg_pool2d(F.pad(valid, pad), block)
+        mean = F.avg_pool2d(F.pad(points, pad), block) / count.clamp_min(torch.finfo(count.dtype).tiny)
+        some = (count > 0).to(count.dtype)
+        mean, some = (F.interpolate(x, scale_factor=block)[..., :height, :width] for x in (mean, some))
+        filled = filled + (1 - known) * mean
+        known = torch.maximum(known, some)
+        block *= 2
+    return filled
+
+
+def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
+    """He et al. 2015 for rectified layers; heads near 0, so that training starts from 'nothing moves'."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
+            fan_in = module.weight[0].numel() if isinstance(module, nn.Conv2d) else module.weight[:, 0].numel() // 4
+            with torch.no_grad():
+                module.weight.normal_(0, math.sqrt(2 / fan_in), generator=generator)
+                if module.bias is not None:
+                    module.bias.zero_()
+    with torch.no_grad():
+        for module in network.modules():
+            if isinstance(module, Heads):
+                for parameter in module.parameters():
+                    parameter.mul_(0.01)
+            elif isinstance(module, Bottleneck):
+                module.bn3.weight.zero_()  # every block starts as its shortcut (Goyal et al. 2017)
+            elif isinstance(module, ColorEncoder) and not module.mean_correlation:
+                # A sum over channels: without this, matched features would start hundreds of times the others.
+                module.project.weight.div_(math.sqrt(2 * module.project.out_channels))

@@ -1,0 +1,1 @@
+"""Where work runs: devices, pools of processes, Ray, and silenced libraries."""

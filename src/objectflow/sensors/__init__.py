@@ -1,0 +1,1 @@
+"""Models of real cameras: depth noise and holes, exposure and colour noise."""

@@ -1,0 +1,142 @@
+"""Files that appear whole or not at all: write beside, fsync, rename."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from objectflow.errors import DatasetError, ResultError, StorageError
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that `path` holds either its old content or all of `data`, even after a power cut.
+
+    Raises:
+        StorageError: the disk refused (no room, no permission); nothing is left behind.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        _fsync_folder(path.parent)
+    except BaseException as error:
+        with suppress(OSError):
+            temporary.unlink()
+        if isinstance(error, OSError):
+            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        raise
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text with the guarantee of `write_bytes`."""
+    write_bytes(path, text.encode())
+
+
+@contextmanager
+def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+    """Give a temporary folder to fill; rename it to `path` at the end, or remove it if anything failed.
+
+    Args:
+        path: the folder to be made. It may exist if it is empty.
+        replace: an existing folder with content is swapped out and removed once the new one is in place.
+            The caller checks that its content may go.
+
+    Raises:
+        ResultError: `path` is a file, or a folder with content and `replace` is false.
+        StorageError: the disk refused.
+    """
+    path = Path(path)
+    made_parents: list[Path] = []
+    temporary: Path | None = None
+    try:
+        if path.exists() and not path.is_dir():
+            raise ResultError(f"{path} is a file, not a folder: name another output folder")
+        if path.is_dir() and not replace and any(path.iterdir()):
+            raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
+        _make_parents(path.parent, made_parents)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
+        temporary.chmod(0o755)
+        yield temporary
+        for file in temporary.iterdir():
+            _fsync_file(file)
+        _swap_in(temporary, path)
+    except BaseException as error:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+        for parent in reversed(made_parents):
+            with suppress(OSError):
+                parent.rmdir()
+        if isinstance(error, OSError):
+            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        raise
+
+
+def _swap_in(temporary: Path, path: Path) -> None:
+    """Rename `temporary` to `path`; an older folder there survives until the new one has its name."""
+    if path.is_dir() and any(path.iterdir()):
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
+        try:
+            os.rename(path, old)
+            os.rename(temporary, path)
+        except BaseException:
+            if path.is_dir():
+                old.rmdir()  # still empty: the older folder never left its place
+            else:
+                os.rename(old, path)
+            raise
+        shutil.rmtree(old, ignore_errors=True)
+    else:
+        os.rename(temporary, path)
+    _fsync_folder(path.parent)
+
+
+def _make_parents(folder: Path, made: list[Path]) -> None:
+    """Make a folder and its missing parents; append each to `made`, so that the caller can undo a half-done job."""
+    missing: list[Path] = []
+    while not folder.exists():
+        missing.append(folder)
+        folder = folder.parent
+    for parent in reversed(missing):
+        parent.mkdir()
+        made.append(parent)
+
+
+def _fsync_file(path: Path) -> None:
+    if path.is_file():
+        with open(path, "rb") as file:
+            os.fsync(file.fileno())
+
+
+def _fsync_folder(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def hash_file(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        DatasetError: no such file.
+        StorageError: the disk refused.
+    """
+    try:
+        digest = hashlib.sha256()
+        with open(path, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+        return digest.hexdigest()
+    except FileNotFoundError:
+        raise DatasetError(f"{path}: no such file") from None
+    except OSError as error:
+        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error

@@ -1,0 +1,1 @@
+"""Generated data sets: scenes to rows to shards, on any number of processes."""

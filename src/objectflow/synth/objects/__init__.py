@@ -1,0 +1,1 @@
+"""The things in generated scenes: procedural shapes and meshes, with their symmetries."""

@@ -1,0 +1,227 @@
+"""A folder of mesh files as a library of objects: ShapeNet's layout, or any tree of OBJ, STL, PLY, GLB files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow.errors import DatasetError, StorageError
+from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage.files import write_bytes, write_text
+from objectflow.synth.objects.convex_parts import decompose, pack, unpack
+from objectflow.synth.objects.library import SPLIT_SIZES, check_split
+from objectflow.synth.objects.mesh_files import SUFFIXES, read_mesh
+from objectflow.synth.objects.model import ModelRef, ObjectModel
+from objectflow.synth.objects.shapes.solid import signed_volume, surface_center
+from objectflow.synth.objects.symmetry_detection import detect
+
+SHAPENET_SYNSETS = {
+    "02801938": "basket",
+    "02808440": "bathtub",
+    "02876657": "bottle",
+    "02880940": "bowl",
+    "02942699": "camera",
+    "02946921": "can",
+    "02954340": "cap",
+    "02958343": "car",
+    "02992529": "cellphone",
+    "03046257": "clock",
+    "03085013": "keyboard",
+    "03261776": "earphone",
+    "03513137": "helmet",
+    "03593526": "jar",
+    "03624134": "knife",
+    "03636649": "lamp",
+    "03642806": "laptop",
+    "03691459": "loudspeaker",
+    "03759954": "microphone",
+    "03761084": "microwave",
+    "03797390": "mug",
+    "03938244": "pillow",
+    "03948459": "pistol",
+    "03991062": "flowerpot",
+    "04074963": "remote",
+    "04099429": "rocket",
+    "04225987": "skateboard",
+    "04401088": "telephone",
+}
+"""28 synsets of ShapeNetCore with things that can lie in a pile. The paper took 28 and does not name them."""
+
+_PLAUSIBLE = (0.03, 0.5)
+"""Metres: an object whose longest side is outside was not drawn in metres, or is no tabletop object."""
+_HAND_SIZES = (0.07, 0.3)
+"""Metres: to where such a mesh is scaled, as the authors' code scales theirs."""
+_CACHE_VERSION = "1"
+
+
+class MeshLibrary:
+    """The meshes of a folder. Which are broken is found once, remembered in the cache, and kept in `broken`.
+
+    In ShapeNet's layout (`synset/model/models/*.obj`) only the synsets of `SHAPENET_SYNSETS` are taken; elsewhere
+    every mesh file below the folder, with the name of the folder it lies in for its category. The splits take the
+    paper's shares of each category, drawn by a hash of the names.
+    """
+
+    broken: dict[str, str]
+    """Name -> what is wrong, of every file that was skipped."""
+
+    def __init__(self, folder: Path, cache: Path | None = None) -> None:
+        """Look through a folder.
+
+        Args:
+            folder: where the meshes are.
+            cache: where convex parts, symmetry and the list of broken files are kept; a folder of the user's own
+                cache when None.
+
+        Raises:
+            DatasetError: the folder is missing, or holds no mesh that can be used.
+            StorageError: the cache folder cannot be written.
+            MissingExtraError: reading meshes needs the extra `[synth]`.
+        """
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise DatasetError(f"{self.folder} is not a folder: name a folder of mesh files")
+        self.cache = _user_cache() if cache is None else Path(cache)
+        try:
+            self.cache.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"cannot make the mesh cache {self.cache}: {error.strerror}") from error
+        files = _mesh_files(self.folder)
+        if not files:
+            raise DatasetError(
+                f"{self.folder} holds no meshes: it needs files ending in {', '.join(SUFFIXES)}, "
+                "or ShapeNet's layout synset/model/models/*.obj"
+            )
+        self.broken = self._find_broken([ref.name for ref in files])
+        self._refs = [ref for ref in files if ref.name not in self.broken]
+        if not self._refs:
+            first = next(iter(self.broken.values()))
+            raise DatasetError(f"none of the {len(files)} meshes in {self.folder} can be used; the first: {first}")
+        self._known = frozenset(self._refs)
+        self._split_refs = _split(self._refs)
+
+    def refs(self, split: str) -> Sequence[ModelRef]:
+        """See `objectflow.synth.objects.library.Library.refs`.
+
+        Raises:
+            DatasetError: an unknown split, or too few meshes for it to get one.
+        """
+        check_split(split)
+        if not self._split_refs[split]:
+            raise DatasetError(
+                f"{self.folder} has only {len(self._refs)} usable mesh(es), none of them for the split {split!r}: "
+                "add meshes (three at least) or use the split 'train'"
+            )
+        return self._split_refs[split]
+
+    def load(self, ref: ModelRef) -> ObjectModel:
+        """See `objectflow.synth.objects.library.Library.load`. The first time takes seconds, for the convex parts."""
+        if ref not in self._known:
+            why = self.broken.get(ref.name, "there is no such file in this library")
+            raise DatasetError(f"{self.folder} has no model {ref.name!r} in category {ref.category!r}: {why}")
+        mesh = read_mesh(self.folder / ref.name)
+        vertices = mesh.vertices * _scale(mesh.vertices, ref.name)
+        vertices = vertices - surface_center(vertices, mesh.faces)
+        faces = mesh.faces if signed_volume(vertices, mesh.faces) >= 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
+        key = hashlib.sha256(f"{_CACHE_VERSION} {mesh.digest()} {ref.name}".encode()).hexdigest()
+        parts, symmetry = self._solved(key, vertices, faces, ref.name)
+        return ObjectModel(ref.category, ref.name, vertices, faces, mesh.uv, parts, symmetry, mesh.texture)
+
+    def _solved(
+        self, key: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str
+    ) -> tuple[tuple[NDArray[np.float64], ...], tuple[SymmetryAxis, ...]]:
+        """Convex parts and symmetry, from the cache or worked out and put there."""
+        path = self.cache / f"{key}.npz"
+        if not path.is_file():
+            parts = decompose(vertices, faces, name)
+            symmetry = detect(vertices, faces)
+            axes = np.array([[*axis.axis, axis.order] for axis in symmetry]).reshape(-1, 4)
+            write_bytes(path, pack(parts, axes=axes))
+        try:
+            with np.load(path) as data:
+                parts = unpack(data)
+                axes = data["axes"]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise DatasetError(f"the cached file {path} is damaged: remove it and start again") from error
+        return parts, tuple(SymmetryAxis((float(x), float(y), float(z)), int(order)) for x, y, z, order in axes)
+
+    def _find_broken(self, names: list[str]) -> dict[str, str]:
+        """Read every file that was not read before in its present state; remember the verdicts."""
+        index = self.cache / f"folder-{hashlib.sha256(str(self.folder.resolve()).encode()).hexdigest()[:16]}.json"
+        try:
+            known = json.loads(index.read_text()) if index.is_file() else {}
+        except (OSError, ValueError):
+            known = {}  # only a memory of earlier work: read the files again
+        verdicts: dict[str, list[Any]] = {}  # name -> [size, time of the last change, what is wrong]
+        for name in names:
+            status = (self.folder / name).stat()
+            state = [status.st_size, status.st_mtime_ns]
+            old = known.get(name)
+            verdicts[name] = old if old is not None and old[:2] == state else [*state, _verdict(self.folder / name)]
+        if verdicts != known:
+            write_text(index, json.dumps(verdicts))
+        return {name: verdict[2] for name, verdict in verdicts.items() if verdict[2]}
+
+
+def _verdict(path: Path) -> str:
+    """What is wrong with a mesh file; empty when nothing is."""
+    try:
+        read_mesh(path)
+    except DatasetError as error:
+        return str(error)
+    return ""
+
+
+def _mesh_files(folder: Path) -> list[ModelRef]:
+    """Every mesh below a folder, sorted by name."""
+    shapenet = [path for path in folder.glob("*/*/models/*.obj") if re.fullmatch(r"\d{8}", path.parts[-4])]
+    if shapenet:
+        pairs = [(SHAPENET_SYNSETS.get(path.parts[-4]), path) for path in shapenet]
+        return sorted(ModelRef(kind, path.relative_to(folder).as_posix()) for kind, path in pairs if kind)
+    paths = [path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file()]
+    return sorted(
+        (ModelRef(path.parent.name or folder.resolve().name, path.relative_to(folder).as_posix()) for path in paths),
+        key=lambda ref: ref.name,
+    )
+
+
+def _split(refs: list[ModelRef]) -> dict[str, list[ModelRef]]:
+    """Deal the models of each category to the splits in the paper's shares, in the order of a hash of their names."""
+    total = sum(SPLIT_SIZES.values())
+    out: dict[str, list[ModelRef]] = {split: [] for split in SPLIT_SIZES}
+    for category in sorted({ref.category for ref in refs}):
+        mine = sorted(
+            (r for r in refs if r.category == category), key=lambda r: hashlib.sha256(r.name.encode()).digest()
+        )
+        few = len(mine) >= 3  # then no split goes empty
+        counts = {s: max(round(len(mine) * SPLIT_SIZES[s] / total), int(few)) for s in ("val", "test")}
+        held = 0
+        for split, count in counts.items():
+            out[split] += mine[held : held + count]
+            held += count
+        out["train"] += mine[held:]
+    return {split: sorted(models) for split, models in out.items()}
+
+
+def _scale(vertices: NDArray[np.float64], name: str) -> float:
+    """1 for a mesh of a plausible size in metres, otherwise what brings it to a size drawn by its name."""
+    size = float(np.ptp(vertices, axis=0).max())
+    if _PLAUSIBLE[0] <= size <= _PLAUSIBLE[1]:
+        return 1.0
+    low, high = _HAND_SIZES
+    draw = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") / 2**64
+    return (low + (high - low) * draw) / size
+
+
+def _user_cache() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "objectflow" / "meshes"

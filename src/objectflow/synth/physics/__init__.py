@@ -1,0 +1,1 @@
+"""Poses of every frame, by MuJoCo or Bullet."""

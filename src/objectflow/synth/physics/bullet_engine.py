@@ -1,0 +1,147 @@
+"""Simulation with Bullet, the engine of the paper: extra `[bullet]`."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from objectflow.errors import MissingExtraError
+from objectflow.geometry.se3 import inverse, make_transform
+from objectflow.synth.objects.model import ObjectModel
+from objectflow.synth.physics.mjcf import build_model
+from objectflow.synth.physics.recording import (
+    ANGULAR_DAMPING,
+    FRAME,
+    FRICTION,
+    GRAVITY,
+    LINEAR_DAMPING,
+    SUBSTEPS,
+    Recording,
+)
+from objectflow.synth.scenes.scene_data import Scene
+
+Array = NDArray[np.float64]
+
+
+def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
+    """Simulate frames 0 to `last`; masses and centres of mass are those of the MuJoCo model.
+
+    Raises:
+        MissingExtraError: PyBullet or MuJoCo is not installed.
+    """
+    bullet = _import_bullet()
+    inertial = build_model(scene, models, visible=False)
+    mass = inertial.body_mass[1:]
+    object_T_mass = make_transform(
+        Rotation.from_quat(inertial.body_iquat[1:], scalar_first=True).as_matrix(), inertial.body_ipos[1:]
+    )
+    mass_T_object = inverse(object_T_mass)
+    world_T_mass = np.stack([item.world_T_object for item in scene.objects]) @ object_T_mass
+    with _world(bullet) as world, tempfile.TemporaryDirectory() as folder:
+        bodies = []
+        for i, (item, model) in enumerate(zip(scene.objects, models, strict=True)):
+            parts = [
+                (part * item.scale) @ mass_T_object[i, :3, :3].T + mass_T_object[i, :3, 3] for part in model.parts
+            ]
+            file = Path(folder) / f"{i}.obj"
+            file.write_text("".join(_wavefront(parts)))
+            bodies.append(_add_object(bullet, world, file, float(mass[i]), world_T_mass[i]))
+        for body, weight, diagonal in zip(bodies, mass, inertial.body_inertia[1:], strict=True):
+            # Bullet's own guess is that of the shape's box. (Without its mass beside it, the body would lose it.)
+            bullet.changeDynamics(
+                body, -1, mass=float(weight), localInertiaDiagonal=diagonal.tolist(), physicsClientId=world
+            )
+        poses, depth, energy = np.empty((last + 1, len(bodies), 4, 4)), np.zeros(last + 1), np.empty(last + 1)
+        for frame in range(last + 1):
+            if frame:
+                for _ in range(SUBSTEPS):
+                    bullet.stepSimulation(physicsClientId=world)
+            world_T_mass = np.stack([_pose(bullet, world, body) for body in bodies])
+            poses[frame] = world_T_mass @ mass_T_object
+            contacts = bullet.getContactPoints(physicsClientId=world)
+            depth[frame] = max([0.0, *(-contact[8] for contact in contacts)])
+            energy[frame] = _energy(bullet, world, bodies, world_T_mass, mass, inertial.body_inertia[1:])
+    return Recording(poses, depth, energy)
+
+
+def _import_bullet() -> ModuleType:
+    try:
+        import pybullet
+    except ImportError as error:
+        raise MissingExtraError('the engine "bullet" needs PyBullet: pip install "objectflow[bullet]"') from error
+    module: ModuleType = pybullet
+    return module
+
+
+@contextmanager
+def _world(bullet: ModuleType) -> Iterator[int]:
+    """A world with a floor, and no window."""
+    world = bullet.connect(bullet.DIRECT)
+    try:
+        bullet.setGravity(0, 0, -GRAVITY, physicsClientId=world)
+        # The files of shapes change from object to object, under names that may come again.
+        bullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=world)
+        bullet.setTimeStep(FRAME / SUBSTEPS, physicsClientId=world)
+        plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=world)
+        floor = bullet.createMultiBody(0, plane, physicsClientId=world)
+        bullet.changeDynamics(floor, -1, lateralFriction=FRICTION, physicsClientId=world)
+        yield world
+    finally:
+        bullet.disconnect(physicsClientId=world)
+
+
+def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T_mass: Array) -> int:
+    """A body whose frame is that of its mass, as Bullet wants it."""
+    # Several hulls make one shape only by way of a file: each of its objects becomes the hull of its vertices.
+    shape = bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(file), physicsClientId=world)
+    body: int = bullet.createMultiBody(
+        mass,
+        shape,
+        basePosition=world_T_mass[:3, 3].tolist(),
+        baseOrientation=Rotation.from_matrix(world_T_mass[:3, :3]).as_quat().tolist(),
+        # A rigid body proper: bodies in reduced coordinates, the default, are damped by another formula.
+        useMaximalCoordinates=True,
+        physicsClientId=world,
+    )
+    bullet.changeDynamics(
+        body,
+        -1,
+        lateralFriction=FRICTION,
+        linearDamping=LINEAR_DAMPING,
+        angularDamping=ANGULAR_DAMPING,
+        physicsClientId=world,
+    )
+    return body
+
+
+def _wavefront(parts: Sequence[Array]) -> Iterator[str]:
+    """An OBJ file of the convex hulls of some points."""
+    first = 1
+    for number, points in enumerate(parts):
+        yield f"o part_{number}\n"
+        yield from (f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points)
+        yield from (f"f {a + first} {b + first} {c + first}\n" for a, b, c in ConvexHull(points).simplices)
+        first += len(points)
+
+
+def _pose(bullet: ModuleType, world: int, body: int) -> Array:
+    position, quaternion = bullet.getBasePositionAndOrientation(body, physicsClientId=world)
+    return make_transform(Rotation.from_quat(quaternion).as_matrix(), position)
+
+
+def _energy(
+    bullet: ModuleType, world: int, bodies: Sequence[int], world_T_mass: Array, mass: Array, inertia: Array
+) -> float:
+    """Joules, kinetic and potential."""
+    velocity = np.array([bullet.getBaseVelocity(body, physicsClientId=world) for body in bodies])
+    turning = np.einsum("nji,nj->ni", world_T_mass[:, :3, :3], velocity[:, 1])
+    kinetic = 0.5 * (mass * np.square(velocity[:, 0]).sum(-1) + (inertia * np.square(turning)).sum(-1))
+    return float((kinetic + mass * GRAVITY * world_T_mass[:, 2, 3]).sum())

@@ -1,0 +1,1 @@
+"""Ray-traced colour, depth and labels of a scene."""

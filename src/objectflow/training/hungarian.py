@@ -1,0 +1,60 @@
+"""Which query answers for which object: costs of all pairs, and the cheapest assignment (Carion et al. 2020)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.optimize import linear_sum_assignment
+from torch import Tensor
+
+_FAIR_SHARE = 1 / 32
+"""Of the image: a mask's cross entropy is divided by the object's area and so much more, or small objects would count
+for nothing and tiny ones for everything."""
+
+
+class MaskCosts(NamedTuple):
+    """(..., Q, K) of every query's mask as every object's, with gradient."""
+
+    cross_entropy: Tensor
+    dice: Tensor
+
+
+def mask_costs(logits: Tensor, masks: Tensor) -> MaskCosts:
+    """Cross entropy and dice (Milletari et al. 2016) of all pairs, as matrix products.
+
+    Args:
+        logits: (L, B, Q, N).
+        masks: (B, K, N), 0 or 1.
+    """
+    area = masks.sum(-1)[:, None]
+    inside = logits.sigmoid()
+    cross_entropy = (F.softplus(logits).sum(-1)[..., None] - logits @ masks.mT) / (
+        area + _FAIR_SHARE * logits.shape[-1]
+    )
+    dice = 1 - (2 * inside @ masks.mT + 1) / (inside.sum(-1)[..., None] + area + 1)
+    return MaskCosts(cross_entropy, dice)
+
+
+@torch.no_grad()
+def assign(costs: Tensor, present: Tensor) -> Tensor:
+    """The cheapest one-to-one assignment of queries to objects (Kuhn 1955).
+
+    Args:
+        costs: (L, B, Q, K).
+        present: (B, K) bool: objects that are there. Where there are more than queries, the dearest go without.
+
+    Returns:
+        (L, B, K) int64: each object's query, -1 for none.
+    """
+    table = np.nan_to_num(costs.detach().double().cpu().numpy(), nan=1e6, posinf=1e6, neginf=-1e6)
+    there = present.cpu().numpy()
+    out = np.full((table.shape[0], table.shape[1], table.shape[3]), -1, np.int64)
+    for layer in range(table.shape[0]):
+        for b in range(table.shape[1]):
+            objects = np.nonzero(there[b])[0]
+            queries, columns = linear_sum_assignment(table[layer, b][:, objects])
+            out[layer, b, objects[columns]] = queries
+    return torch.from_numpy(out).to(costs.device)

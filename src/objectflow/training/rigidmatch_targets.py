@@ -1,0 +1,132 @@
+"""What `RigidMatch` should say, on its grids: true cells, true places, masks; from exact depth and motion."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from objectflow.alignment.moved import STILL
+from objectflow.training.step import Prepared
+
+_LEAST_SHARE = 0.1
+"""Of a match that has to fall on cells of the same object with depth, or it teaches no cell."""
+
+
+class Cells(NamedTuple):
+    """Where the matches of a grid's cells lie among the previous frame's cells; h, w of the current grid.
+
+    Attributes:
+        cell: (B, 4, h, w) int64 into the previous grid, row first.
+        share: (B, 4, h, w) bilinear, only of cells with depth and of the same object; sums to 1, or to 0 where no
+            cell is known.
+        hidden: (B, h, w) bool: the previous frame does not show the point.
+        seen: (B, h, w) bool: it does.
+        column, row: (B, h, w) the match in cells; 0 where not seen.
+    """
+
+    cell: Tensor
+    share: Tensor
+    hidden: Tensor
+    seen: Tensor
+    column: Tensor
+    row: Tensor
+
+
+class Truth(NamedTuple):
+    """Of a batch.
+
+    Attributes:
+        coarse, fine: matches of both grids.
+        coarse_place, fine_place: (B, 3, h, w) metres: where each cell's point was.
+        coarse_weight, fine_weight: (B, h, w) of each cell in means over matches; 0 without exact depth.
+        points: (B, 3, H, W) metres, exact points of the fine grid; 0 where missing.
+        measured: (B, H, W) bool: where there are.
+        owner: (B, H, W) int64 row in the object table, -1 for the background.
+        masks: (B, K, H, W) float: each object's cells; all 0 for rows without any.
+        votes: (B, 6, H, W) metres: [X, X + T].
+        in_both: (B, K) bool: the previous frame shows the object too.
+        moves: (B, K) bool: its points move by more than a depth camera can tell.
+    """
+
+    coarse: Cells
+    fine: Cells
+    coarse_place: Tensor
+    fine_place: Tensor
+    coarse_weight: Tensor
+    fine_weight: Tensor
+    points: Tensor
+    measured: Tensor
+    owner: Tensor
+    masks: Tensor
+    votes: Tensor
+    in_both: Tensor
+    moves: Tensor
+
+
+def make_truth(prepared: Prepared, stride: int, background: float) -> Truth:
+    """The truth of a batch for grids of `stride` and half of it; cells beyond the image's edge do not exist.
+
+    Args:
+        prepared: from `prepare`.
+        stride: pixels a coarse cell.
+        background: weight of a match off the objects, beside 1 on them.
+    """
+    targets, fine = prepared.targets, stride // 2
+    points = prepared.points
+    measured = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
+    safe = torch.where(measured[:, None], points, torch.zeros_like(points))
+    place = safe + targets.flow
+    weight = torch.where(targets.mask, 1.0, background) * measured
+    index = targets.index[:, ::fine, ::fine]
+    K = prepared.batch.table.label.shape[1]
+    masks = (index[:, None] == torch.arange(K, device=index.device)[:, None, None]).float()
+    lengths = targets.flow[..., ::fine, ::fine].norm(dim=1)
+    counted = masks * measured[:, None, ::fine, ::fine]
+    mean_length = (counted * lengths[:, None]).sum((2, 3)) / counted.sum((2, 3)).clamp_min(1)
+    return Truth(
+        coarse=true_cells(prepared, stride),
+        fine=true_cells(prepared, fine),
+        coarse_place=place[..., ::stride, ::stride],
+        fine_place=place[..., ::fine, ::fine],
+        coarse_weight=weight[:, ::stride, ::stride],
+        fine_weight=weight[:, ::fine, ::fine],
+        points=safe[..., ::fine, ::fine],
+        measured=measured[:, ::fine, ::fine],
+        owner=index,
+        masks=masks,
+        votes=torch.cat([targets.center, targets.center + targets.translation], dim=1)[..., ::fine, ::fine],
+        in_both=prepared.batch.table.in_both,
+        moves=mean_length > STILL,
+    )
+
+
+def true_cells(prepared: Prepared, stride: int) -> Cells:
+    """The cells around each true match, with bilinear shares.
+
+    A share that falls on another object's cell, or on one whose depth the network is not shown, goes to the others.
+    """
+    where = prepared.matches[..., ::stride, ::stride] / stride
+    labels = prepared.batch.curr_labels[:, ::stride, ::stride]
+    before = prepared.batch.prev_labels[:, ::stride, ::stride].flatten(1)
+    shown = torch.isfinite(prepared.images[1][:, 2, ::stride, ::stride]).flatten(1)
+    batch, height, width = labels.shape
+    seen = torch.isfinite(where).all(dim=1)
+    depth = torch.isfinite(prepared.points[:, 2, ::stride, ::stride])
+    column, row = torch.where(seen[:, None], where, torch.zeros_like(where)).unbind(1)
+    left, top = column.floor(), row.floor()
+    index, share = [], []
+    for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        x, y = left + right, top + below
+        part = (1 - (column - x).abs()) * (1 - (row - y).abs())
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        cell = (y.clamp(0, height - 1) * width + x.clamp(0, width - 1)).long()
+        same = before.gather(1, cell.flatten(1)).view(batch, height, width) == labels
+        there = shown.gather(1, cell.flatten(1)).view(batch, height, width)
+        index.append(cell)
+        share.append(part * (inside & same & there & seen))
+    shares = torch.stack(share, dim=1)
+    total = shares.sum(1, keepdim=True)
+    shares = torch.where(total > _LEAST_SHARE, shares / total.clamp_min(_LEAST_SHARE), torch.zeros_like(shares))
+    return Cells(torch.stack(index, dim=1), shares, depth & ~seen, seen, column, row)

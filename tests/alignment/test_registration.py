@@ -1,0 +1,72 @@
+"""Robust fits and refinement, on motions that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import analytic
+from objectflow import Camera, geometry
+from objectflow.alignment import fitting, registration
+from objectflow.alignment.matching import Matches
+
+CAMERA = Camera(width=320, height=240, fx=236.46, fy=236.46, cx=159.5, cy=119.5)
+
+
+def matches_of(points: np.ndarray, prev_T_curr: np.ndarray, noise: np.ndarray) -> Matches:
+    prev = geometry.transform(prev_T_curr, points) + noise
+    return Matches(
+        geometry.project(points, CAMERA).astype(np.float32), points.astype(np.float32), prev.astype(np.float32)
+    )
+
+
+def test_fit_ignores_forty_percent_of_wrong_matches() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-0.1, -0.1, 0.6], [0.1, 0.1, 0.8], (100, 3))
+    prev_T_curr = geometry.se3_exp([0.05, -0.02, 0.03, 0.1, 0.2, -0.3])
+    noise = rng.normal(0, 0.0005, (100, 3))
+    noise[:40] += rng.uniform(0.05, 0.2, (40, 3))
+    fitted, inliers = fitting.fit_matches(matches_of(points, prev_T_curr, noise), CAMERA)
+    assert np.linalg.norm(geometry.se3_log(geometry.inverse(fitted) @ prev_T_curr)[:3]) < 0.002
+    assert inliers[40:].mean() > 0.95
+    assert not inliers[:40].any()
+
+
+def test_fit_is_exact_on_three_exact_matches() -> None:
+    points = np.array([[0.0, 0, 0.6], [0.1, 0, 0.65], [0, 0.1, 0.7]])
+    prev_T_curr = geometry.se3_exp([0.1, 0, 0, 0, 0, 0.5])
+    fitted, inliers = fitting.fit_matches(matches_of(points, prev_T_curr, np.zeros((3, 3))), CAMERA)
+    np.testing.assert_allclose(fitted, prev_T_curr, atol=1e-6)
+    assert inliers.all()
+
+
+@pytest.mark.parametrize("seed", [1, 6, 12])
+def test_refinement_brings_a_rough_start_to_the_truth(seed: int) -> None:
+    pair = analytic.make_scene(seed)
+    target = registration.Target(pair.prev)
+    rng = np.random.default_rng(seed)
+    before, after = [], []
+    for label in sorted(pair.moving):
+        seen = (pair.labels == label) & pair.visible
+        if pair.kinds[label] != "box" or seen.sum() < 800:
+            continue
+        true, center = pair.prev_T_curr[label], pair.centers[label]
+        offset = geometry.se3_exp([*rng.normal(0, 0.004, 3), *rng.normal(0, 0.02, 3)])
+        about_center = geometry.make_transform(np.eye(3), geometry.transform(true, center))
+        start = about_center @ offset @ geometry.inverse(about_center) @ true
+        refined = registration.refine(target, registration.make_source(pair.curr, pair.labels == label), start)
+        for errors, found in ((before, start), (after, refined.prev_T_curr)):
+            errors.append(np.linalg.norm(geometry.transform(found, center) - geometry.transform(true, center)))
+        assert refined.explained > 0.8
+    assert before
+    assert np.median(after) < 0.25 * np.median(before)
+    assert np.median(after) < 0.0015
+
+
+def test_refinement_without_points_returns_its_start() -> None:
+    pair = analytic.make_scene(3)
+    start = geometry.se3_exp([0.01, 0, 0, 0, 0, 0])
+    nothing = registration.make_source(pair.curr, np.zeros(pair.labels.shape, bool))
+    refined = registration.refine(registration.Target(pair.prev), nothing, start)
+    np.testing.assert_array_equal(refined.prev_T_curr, start)
+    assert refined.explained == 0

@@ -1,0 +1,291 @@
+"""HOMC's steps against hand-made tracks, and the whole on pictures whose parts move by known motions."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import analytic
+import objectflow
+from objectflow import Camera, RgbdFrame
+from objectflow.errors import FrameError, MethodError, MissingExtraError
+from objectflow.methods.baselines.homc.costs import CostSettings, pair_costs, triple_costs
+from objectflow.methods.baselines.homc.densify import densify
+from objectflow.methods.baselines.homc.estimator import Homc
+from objectflow.methods.baselines.homc.graph import build_problem
+from objectflow.methods.baselines.homc.tracks import Tracks, follow
+
+pytest.importorskip("bioimage_cpp")
+
+Floats = NDArray[np.float64]
+SETTINGS = CostSettings(noise=0.5, distance_unit=32.0)
+
+
+def make_tracks(*paths: Sequence[complex | None]) -> Tracks:
+    """Tracks of points given as u + iv in each frame, None where not seen, on even flow."""
+    positions = np.array([[(p.real, p.imag) if p is not None else (np.nan, np.nan) for p in path] for path in paths])
+    deviations = np.where(np.isnan(np.diff(positions[..., 0], axis=1)), np.nan, 0.0)
+    return Tracks(positions.astype(np.float32), deviations.astype(np.float32))
+
+
+# --- costs ---
+
+
+def test_a_pair_costs_what_the_formula_says() -> None:
+    tracks = make_tracks([10 + 10j, 12 + 10j, 15 + 10j], [10 + 26j, 12 + 26j, 14 + 26j])
+    lab = np.array([[50.0, 0, 0], [50.0, 30, 40]])
+    # Motions differ by 1 pixel in the second step, in units of 0.5 pixels; they are 16 or 16.03 pixels apart.
+    d_m, d_s, d_c = 2.0, (16 + 16 + np.hypot(1, 16)) / 3 / 32, 50.0
+    expected = -max(6 - 2 * d_m - 4 * d_s - 0.02 * d_c, 2 - 2 * d_m)
+    np.testing.assert_allclose(pair_costs(tracks, lab, np.array([[0, 1]]), SETTINGS), [expected], rtol=1e-5)
+
+
+def test_far_tracks_of_one_motion_join_and_tracks_never_seen_together_do_not_count() -> None:
+    tracks = make_tracks(
+        [1 + 1j, 4 + 1j, None, None], [200 + 90j, 203 + 90j, None, None], [None, None, 30 + 1j, 33 + 1j]
+    )
+    costs = pair_costs(tracks, np.zeros((3, 3)), np.array([[0, 1], [0, 2]]), SETTINGS)
+    np.testing.assert_allclose(costs, [-2, 0])
+
+
+def test_three_tracks_of_one_similarity_join_whatever_it_is() -> None:
+    start = np.array([30 + 40j, 50 + 40j, 42 + 55j])
+    moved = (start - 7) * 1.2 * np.exp(0.5j) + 11 - 3j
+    again = (moved + 2) * 0.8 * np.exp(-1.1j)
+    tracks = make_tracks(*[[complex(a), complex(b), complex(c)] for a, b, c in zip(start, moved, again, strict=True)])
+    cost, known = triple_costs(tracks, np.array([[0, 1, 2]]), SETTINGS)
+    assert known.tolist() == [True]
+    np.testing.assert_allclose(cost, [-1], atol=1e-4)
+    pair = pair_costs(tracks, np.zeros((3, 3)), np.array([[0, 1], [1, 2], [0, 2]]), SETTINGS)
+    assert (pair > 0).all()
+
+
+def test_a_third_track_that_goes_elsewhere_costs_the_least_of_the_three_roles() -> None:
+    start = np.array([0j, 20 + 0j, 10 + 15j]) + 30 + 30j
+    end = start + np.array([0, 0, 4])
+    tracks = make_tracks(*[[complex(a), complex(b)] for a, b in zip(start, end, strict=True)])
+    distances = []
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        # The similarity as a real 2x2 matrix and a shift, by least squares.
+        rows = []
+        for k in (a, b):
+            rows += [[start[k].real, -start[k].imag, 1, 0], [start[k].imag, start[k].real, 0, 1]]
+        p, q, x, y = np.linalg.solve(rows, [end[a].real, end[a].imag, end[b].real, end[b].imag])
+        goes = complex(p * start[c].real - q * start[c].imag + x, q * start[c].real + p * start[c].imag + y)
+        distances.append(abs(goes - end[c]) / 0.5)
+    cost, _ = triple_costs(tracks, np.array([[0, 1, 2]]), SETTINGS)
+    np.testing.assert_allclose(cost, [-1 + 0.8 * min(distances)], rtol=1e-4)
+    assert cost[0] > 0
+
+
+def test_triples_on_one_point_or_never_seen_together_say_nothing() -> None:
+    tracks = make_tracks(
+        [5 + 5j, 6 + 5j, None], [5 + 5j, 6 + 5j, None], [9 + 9j, 10 + 9j, None], [None, 1 + 1j, 1 + 1j]
+    )
+    cost, known = triple_costs(tracks, np.array([[0, 1, 2], [0, 2, 3]]), SETTINGS)
+    assert known.tolist() == [False, False]
+    assert cost.tolist() == [0, 0]
+
+
+def test_pairs_that_cut_give_way_to_triples() -> None:
+    v, u = np.mgrid[0:10, 0:12] * 4.0
+    start = (u + 1j * v).ravel()
+    turned = (start - start.mean()) * np.exp(0.6j) + start.mean()
+    tracks = make_tracks(*[[complex(a), complex(b)] for a, b in zip(start, turned, strict=True)])
+    problem = build_problem(tracks, np.zeros((len(start), 3)), 0, 4, SETTINGS)
+    costs = pair_costs(tracks, np.zeros((len(start), 3)), problem.pairs, SETTINGS)
+    np.testing.assert_allclose(problem.pair_costs, costs)
+    # One body that turns: what is left of the pairs joins, and so do the triples.
+    assert (problem.pair_costs < 0).all()
+    assert len(problem.triples) > 200
+    np.testing.assert_allclose(problem.triple_costs, -1, atol=1e-3)
+
+
+# --- tracks and dense labels ---
+
+
+def test_points_of_a_sliding_picture_are_followed_to_where_they_go() -> None:
+    rng = np.random.default_rng(0)
+    big = cv2.resize(rng.integers(0, 256, (40, 50, 3)).astype(np.uint8), (200, 160), interpolation=cv2.INTER_CUBIC)
+    big = big.astype(np.uint8)
+    images = [np.ascontiguousarray(big[30:126, 30 - 3 * k : 158 - 3 * k]) for k in range(4)]
+    tracks = follow(images, 4)
+    whole = tracks.positions[np.isfinite(tracks.positions).all((1, 2))]
+    assert len(whole) > 200
+    moved = whole[:, 3] - whole[:, 0]
+    np.testing.assert_allclose(np.median(moved, axis=0), [9, 0], atol=0.1)
+    assert np.mean(np.linalg.norm(moved - [9, 0], axis=1) < 0.5) > 0.95
+    # What comes into sight on the left is followed as well, and no cell has two tracks at the start.
+    late = np.isnan(tracks.positions[:, 0, 0]) & np.isfinite(tracks.positions[:, 3, 0])
+    assert (tracks.positions[late, 3, 0] < 12).any()
+    first = tracks.positions[np.isfinite(tracks.positions[:, 0, 0]), 0]
+    assert len(np.unique(first // 4, axis=0)) == len(first)
+    seen = tracks.seen_in(2)
+    assert np.isfinite(seen.positions[:, 2]).all()
+    there = np.isfinite(tracks.positions[..., 0])
+    assert len(seen.positions) == (there[:, 2] & (there.sum(1) > 1)).sum()
+
+
+def test_no_track_starts_where_nothing_can_be_seen() -> None:
+    flat = np.full((64, 80, 3), 90, np.uint8)
+    assert len(follow([flat, flat], 4).positions) == 0
+
+
+def test_pixels_take_the_label_of_near_tracks_of_their_colour() -> None:
+    lab = np.zeros((20, 30, 3), np.float32)
+    lab[:, 15:] = 60
+    at = np.array([[13.0, 10], [20.0, 10]])
+    out = densify(at, np.array([1, 2]), np.array([[0.0, 0, 0], [60.0, 60, 60]]), lab)
+    # By distance alone the border would lie between columns 16 and 17.
+    np.testing.assert_array_equal(out, np.where(np.arange(30) < 15, 1, 2) * np.ones((20, 1)))
+    assert (densify(np.zeros((0, 2)), np.zeros(0, np.int64), np.zeros((0, 3)), lab) == 0).all()
+
+
+# --- the whole ---
+
+
+@cache
+def sequence(count: int = 4) -> tuple[list[RgbdFrame], NDArray[np.int32]]:
+    """A still background with a disc that turns by 5 degrees a frame and a square that slides; labels of the last."""
+    rng = np.random.default_rng(1)
+    layers = [cv2.resize(rng.integers(0, 256, (s, s, 3)).astype(np.uint8), (320, 320)) for s in (64, 80, 72)]
+    camera = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+    v, u = np.mgrid[0:120, 0:160]
+    frames, labels = [], np.zeros((120, 160), np.int32)
+    for k in range(count):
+        turn = cv2.getRotationMatrix2D((45, 60), 5.0 * k, 1.0)
+        slide = np.array([[1, 0, 3.0 * k], [0, 1, 1.0 * k]])
+        disc, square = (cv2.warpAffine(layers[i], m, (160, 120)) for i, m in ((1, turn), (2, slide)))
+        inside_disc = (u - 45) ** 2 + (v - 60) ** 2 < 30**2
+        inside_square = (abs(u - 3 * k - 110) < 20) & (abs(v - k - 55) < 20)
+        labels = np.where(inside_disc, 1, np.where(inside_square, 2, 0)).astype(np.int32)
+        color = np.where(
+            inside_disc[..., None], disc, np.where(inside_square[..., None], square, layers[0][:120, :160])
+        )
+        frames.append(RgbdFrame(color.astype(np.uint8), np.ones((120, 160), np.float32), camera))
+    return frames, labels
+
+
+def test_a_turning_disc_is_one_segment_because_of_triples(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, labels = sequence()
+    motion = Homc().estimate_in_sequence(frames, 0, 3)
+    assert len(motion.objects) == 2
+    for label in (1, 2):
+        mask = labels == label
+        found = np.bincount(motion.labels[mask]).argmax()
+        assert found != 0
+        assert (mask & (motion.labels == found)).sum() / (mask | (motion.labels == found)).sum() > 0.75
+    # With pairs alone the disc falls apart, or its middle goes to the background.
+    from objectflow.methods.baselines.homc import graph
+
+    monkeypatch.setattr(
+        graph, "_triples", lambda at, tree, pairs: np.zeros((2 * len(pairs), 3), np.int64) + pairs[0, 0]
+    )
+    pieces = Homc().estimate_in_sequence(frames, 0, 3).labels[labels == 1]
+    assert (pieces == np.bincount(pieces).argmax()).mean() < 0.75
+
+
+def test_motions_lead_back_to_the_frame_asked_for() -> None:
+    frames, labels = sequence()
+    for prev, steps in ((0, 3), (2, 1)):
+        motion = Homc().estimate_in_sequence(frames, prev, 3)
+        square = motion.scene_flow[labels == 2]
+        # 3 and 1 pixels a frame at 1 m and a focal length of 150 pixels; 0.6 pixels of error in following.
+        np.testing.assert_allclose(np.median(square, axis=0), [-0.02 * steps, -1 / 150 * steps, 0], atol=0.004)
+        label = int(np.bincount(motion.labels[labels == 2]).argmax())
+        assert [obj.moving for obj in motion.objects if obj.id == label] == [True]
+        assert (np.median(np.abs(motion.scene_flow[labels == 0])), motion.camera_motion) == (0, None)
+
+
+def test_a_pair_is_a_sequence_of_two() -> None:
+    frames, labels = sequence()
+    motion = objectflow.load("homc")(frames[2], frames[3])
+    square = motion.labels[labels == 2]
+    assert np.bincount(square).argmax() != 0
+    assert motion.method == "homc"
+    once = Homc(repeats=1)(frames[2], frames[3])
+    np.testing.assert_array_equal(np.isnan(motion.scene_flow), np.isnan(once.scene_flow))
+
+
+def test_sparse_labels_lie_on_tracks_alone() -> None:
+    frames, _ = sequence()
+    sparse = Homc(labels="sparse").estimate_in_sequence(frames, 0, 3)
+    dense = Homc().estimate_in_sequence(frames, 0, 3)
+    there = np.isfinite(sparse.scene_flow[..., 0])
+    assert 0.01 < there.mean() < 0.1
+    assert (sparse.labels[~there] == 0).all()
+    assert (sparse.labels[there] == dense.labels[there]).mean() > 0.9
+    assert np.isfinite(dense.scene_flow).all()
+
+
+def test_the_camera_motion_is_the_backgrounds() -> None:
+    camera_motion = np.eye(4)
+    camera_motion[0, 3] = 0.01
+    pair = analytic.make_scene(
+        0, objects=(1, 2), motion=(0.02, 0.03), max_angle_deg=2, width=160, height=120, camera_motion=camera_motion
+    )
+    motion = Homc(camera="moving")(pair.prev, pair.curr)
+    assert motion.camera_motion is not None
+    np.testing.assert_allclose(motion.camera_motion, camera_motion, atol=0.004)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (2, 3), (9, 7), (40, 30), (333, 21)])
+def test_pictures_of_any_size_give_labels_on_their_own_pixels(width: int, height: int) -> None:
+    rng = np.random.default_rng(0)
+    camera = Camera(width, height, width, width, (width - 1) / 2, (height - 1) / 2)
+    depth = np.full((height, width), 0.8, np.float32)
+    depth[0, 1:] = 0
+    frame = RgbdFrame(rng.integers(0, 256, (height, width, 3)).astype(np.uint8), depth, camera)
+    for labels in ("dense", "sparse"):
+        motion = Homc(labels=labels)(frame, frame)
+        assert motion.labels.shape == (height, width)
+        assert np.isnan(motion.scene_flow[depth == 0]).all()
+        assert not motion.labels.any()
+    assert np.isfinite(Homc()(frame, frame).scene_flow[depth > 0]).all()
+
+
+def test_objects_without_depth_are_none() -> None:
+    frames, labels = sequence()
+    depth = np.where(labels == 2, 0, 1).astype(np.float32)
+    blind = [dataclasses.replace(frame, depth=np.where(depth > 0, depth, 0)) for frame in frames]
+    motion = Homc().estimate_in_sequence(blind, 0, 3)
+    assert np.isnan(motion.scene_flow[labels == 2]).all()
+    assert {obj.id for obj in motion.objects} == set(np.unique(motion.labels).tolist()) - {0}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"labels": "some"}, "labels must be dense or sparse, not 'some'"),
+        ({"sampling": 0}, "sampling must be a whole number from 1, not 0"),
+        ({"repeats": True}, "repeats must be a whole number from 1, not True"),
+        ({"join": float("nan")}, "join must be a number, not nan"),
+    ],
+)
+def test_options_without_meaning_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(MethodError, match=message):
+        objectflow.load("homc", **options)
+
+
+def test_frames_that_make_no_sequence_are_refused() -> None:
+    frames, _ = sequence()
+    with pytest.raises(FrameError, match="two frames or more, not 1"):
+        Homc().estimate_in_sequence(frames[:1], 0, 0)
+    with pytest.raises(FrameError, match="two of the 4 frames, not 3 and 4"):
+        Homc().estimate_in_sequence(frames, 3, 4)
+    with pytest.raises(FrameError, match="both must have one size"):
+        Homc().estimate_in_sequence([frames[0].resized(80, 60), *frames[1:]], 1, 2)
+
+
+def test_without_the_solver_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "bioimage_cpp", None)
+    with pytest.raises(MissingExtraError, match=r'homc needs bioimage-cpp: pip install "objectflow\[baselines\]"'):
+        objectflow.load("homc")

@@ -1,0 +1,188 @@
+"""The solver of higher-order lifted multicuts: against all partitions of small graphs, and on planted ones."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from objectflow.methods.baselines.homc import multicut, search
+from objectflow.methods.baselines.homc.problem import Problem
+
+pytest.importorskip("bioimage_cpp")
+
+Ints = NDArray[np.int64]
+NO_PAIRS, NO_TRIPLES = np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
+
+
+def partitions(count: int) -> Iterator[Ints]:
+    """All partitions of `count` nodes: Bell's number of them."""
+
+    def grow(labels: list[int], parts: int) -> Iterator[Ints]:
+        if len(labels) == count:
+            yield np.array(labels)
+            return
+        for part in range(parts + 1):
+            yield from grow([*labels, part], max(parts, part + 1))
+
+    yield from grow([], 0)
+
+
+def all_of(count: int, size: int) -> Ints:
+    return np.array(list(itertools.combinations(range(count), size)))
+
+
+def random_problem(rng: np.random.Generator, count: int) -> Problem:
+    """Half of all pairs are edges, most of the others lifted, half of all triples have a cost; costs are normal."""
+    pairs, triples = all_of(count, 2), all_of(count, 3)
+    while True:
+        edges = pairs[rng.random(len(pairs)) < 0.5]
+        bare = Problem(count, edges, NO_PAIRS, np.zeros(0), NO_TRIPLES, np.zeros(0))
+        if len(np.unique(bare.connected(np.zeros(count, np.int64)))) == 1:
+            break
+    pairs, triples = pairs[rng.random(len(pairs)) < 0.7], triples[rng.random(len(triples)) < 0.5]
+    return Problem(count, edges, pairs, rng.standard_normal(len(pairs)), triples, rng.standard_normal(len(triples)))
+
+
+def canonical(labels: Ints) -> list[int]:
+    """Labels numbered by first occurrence: equal for equal partitions."""
+    order: dict[int, int] = {}
+    return [order.setdefault(int(label), len(order)) for label in labels]
+
+
+def test_energy_is_what_is_together() -> None:
+    rng = np.random.default_rng(0)
+    problem = random_problem(rng, 7)
+    labels = rng.integers(0, 3, 7)
+    expected = sum(c for (p, q), c in zip(problem.pairs, problem.pair_costs, strict=True) if labels[p] == labels[q])
+    for three, cost in zip(problem.triples, problem.triple_costs, strict=True):
+        expected += cost if len(set(labels[three].tolist())) == 1 else 0
+    assert np.isclose(problem.energy(labels), expected)
+
+
+def test_a_part_that_the_graph_does_not_connect_is_taken_apart() -> None:
+    chain = np.array([[0, 1], [1, 2], [2, 3]])
+    problem = Problem(4, chain, NO_PAIRS, np.zeros(0), NO_TRIPLES, np.zeros(0))
+    assert canonical(problem.connected(np.array([0, 1, 0, 0]))) == [0, 1, 2, 2]
+    assert not problem.is_feasible(np.array([0, 1, 0, 0]))
+    assert problem.is_feasible(np.array([5, 5, 0, 0]))
+
+
+def test_small_graphs_come_near_to_the_optimum() -> None:
+    rng = np.random.default_rng(1)
+    optimal, gaps = 0, []
+    every = {count: list(partitions(count)) for count in (5, 6, 7)}
+    for k in range(45):
+        problem = random_problem(rng, 5 + k % 3)
+        best = min(problem.energy(labels) for labels in every[problem.nodes] if problem.is_feasible(labels))
+        found = search.solve(problem)
+        assert problem.is_feasible(found)
+        energy = problem.energy(found)
+        assert energy >= best - 1e-9
+        optimal += energy <= best + 1e-9
+        gaps.append((energy - best) / -best if best < 0 else 0)
+    assert optimal >= 40
+    assert np.mean(gaps) < 0.05
+
+
+def test_triples_are_spread_so_that_the_energy_is_right_around_a_partition() -> None:
+    rng = np.random.default_rng(2)
+    problem = random_problem(rng, 6)
+    alone, together = np.arange(6), np.zeros(6, np.int64)
+    for labels in (rng.integers(0, 2, 6), rng.integers(0, 3, 6), alone, together):
+        pairs, costs = multicut.spread_triples(problem, labels)
+        spread = costs[labels[pairs[:, 0]] == labels[pairs[:, 1]]].sum()
+        assert np.isclose(spread, problem.energy(labels))
+        assert len(np.unique(pairs, axis=0)) == len(pairs)
+        assert (pairs[:, 0] < pairs[:, 1]).all()
+    pairs, costs = multicut.spread_triples(problem, None)
+    assert np.isclose(costs.sum(), problem.energy(together))
+
+
+def test_the_search_ends_where_no_single_change_helps() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(10):
+        problem = random_problem(rng, 7)
+        start = problem.connected(rng.integers(0, 3, 7))
+        labels = search._Search(problem).improve(start)
+        energy = problem.energy(labels)
+        assert energy <= problem.energy(start) + 1e-9
+        assert problem.is_feasible(labels)
+        for node, part in itertools.product(range(7), range(8)):
+            changed = labels.copy()
+            changed[node] = part
+            if problem.is_feasible(changed):
+                assert problem.energy(changed) >= energy - 1e-8
+        for a, b in itertools.combinations(np.unique(labels).tolist(), 2):
+            joined = np.where(labels == b, a, labels)
+            if problem.is_feasible(joined):
+                assert problem.energy(joined) >= energy - 1e-8
+
+
+def grid_problem(
+    planted: NDArray[np.int64], rng: np.random.Generator, pair_noise: float, pair_weight: float, triple_weight: float
+) -> Problem:
+    """A grid's nodes with edges to their neighbours, and lifted edges and triples that speak for the planted parts."""
+    height, width = planted.shape
+    node = np.arange(height * width).reshape(height, width)
+    edges = np.concatenate([np.stack([node[:, :-1], node[:, 1:]], -1).reshape(-1, 2)])
+    edges = np.concatenate([edges, np.stack([node[:-1], node[1:]], -1).reshape(-1, 2)])
+    lifted = np.sort(rng.integers(0, node.size, (6 * node.size, 2)), axis=1)
+    pairs = np.unique(np.concatenate([edges, lifted[lifted[:, 0] < lifted[:, 1]]]), axis=0)
+    corner = np.stack([node[:-1, :-1], node[:-1, 1:], node[1:, :-1]], -1).reshape(-1, 3)
+    corner = np.concatenate([corner, np.stack([node[:-1, 1:], node[1:, :-1], node[1:, 1:]], -1).reshape(-1, 3)])
+    far = np.sort(rng.integers(0, node.size, (3 * node.size, 3)), axis=1)
+    far = far[(far[:, 0] < far[:, 1]) & (far[:, 1] < far[:, 2])]
+    triples = np.unique(np.concatenate([corner, far]), axis=0)
+    flat = planted.ravel()
+    same = flat[pairs[:, 0]] == flat[pairs[:, 1]]
+    whole = (flat[triples] == flat[triples[:, :1]]).all(1)
+    return Problem(
+        nodes=node.size,
+        edges=edges,
+        pairs=pairs,
+        pair_costs=pair_weight * np.where(same, -1.0, 1.0) + pair_noise * rng.standard_normal(len(pairs)),
+        triples=triples,
+        triple_costs=triple_weight * np.where(whole, -1.0, 1.0),
+    )
+
+
+def planted_parts() -> Ints:
+    parts = np.zeros((13, 17), np.int64)
+    parts[2:7, 2:8], parts[5:11, 9:15], parts[8:11, 2:5] = 1, 2, 3
+    return parts
+
+
+@pytest.mark.parametrize(
+    ("pair_noise", "pair_weight", "triple_weight"),
+    [(0.0, 1.0, 0.0), (0.3, 1.0, 0.5), (0.0, 0.0, 1.0), (0.5, 0.3, 1.0)],
+    ids=["pairs", "both", "triples", "weak pairs"],
+)
+def test_planted_partitions_are_recovered_exactly(pair_noise: float, pair_weight: float, triple_weight: float) -> None:
+    planted = planted_parts()
+    for seed in range(3):
+        problem = grid_problem(planted, np.random.default_rng(seed), pair_noise, pair_weight, triple_weight)
+        found = search.solve(problem)
+        assert canonical(found) == canonical(planted.ravel())
+        np.testing.assert_array_equal(found, search.solve(problem))
+
+
+def test_triples_overrule_pairs_that_are_wrong() -> None:
+    # Pairs within one part say cut, as they do for a body that turns; its triples say that it is one.
+    planted = planted_parts()
+    problem = grid_problem(planted, np.random.default_rng(4), 0.0, 1.0, 4.0)
+    body = (planted.ravel()[problem.pairs] == 2).all(1)
+    problem.pair_costs[body] = 0.5
+    pairs_alone = Problem(problem.nodes, problem.edges, problem.pairs, problem.pair_costs, NO_TRIPLES, np.zeros(0))
+    assert canonical(search.solve(problem)) == canonical(planted.ravel())
+    assert len(np.unique(search.solve(pairs_alone))) > 20
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_graphs_of_hardly_any_nodes_are_solved(count: int) -> None:
+    edges = np.array([[0, 1]]) if count == 2 else NO_PAIRS
+    problem = Problem(count, edges, edges, -np.ones(len(edges)), NO_TRIPLES, np.zeros(0))
+    assert search.solve(problem).tolist() == [0] * count

@@ -1,0 +1,369 @@
+"""Every step of `rigidmatch` against something independent; and the whole for every setting."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from helpers.small_networks import TINY_RIGID
+from objectflow.errors import MethodError
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
+from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean, dual_softmax_mean_of_product
+from objectflow.networks.rigidmatch.inputs import Grid, cells, describe, grid
+from objectflow.networks.rigidmatch.matching import GlobalMatching
+from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
+from objectflow.networks.rigidmatch.seeds import choose_seeds
+from objectflow.networks.rigidmatch.settings import SMALL
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def images(height: int, width: int, batch: int = 2) -> list[Tensor]:
+    made = [torch.rand(batch, 3, height, width, generator=generator(k)) for k in range(4)]
+    for points in (made[1], made[3]):
+        points[:, 2] += 0.5
+        points[:, :, 3:9, 5:11] = torch.nan
+    return made
+
+
+# --- settings ---
+
+
+def test_settings_survive_json() -> None:
+    for settings in (RigidMatchSettings(), SMALL, TINY_RIGID):
+        assert RigidMatchSettings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"stride": 6}, "stride must be 4 or 8, not 6"),
+        ({"heads": 3}, "multiple of heads"),
+        ({"queries": 0}, "queries must be at least 1, not 0"),
+        ({"blocks": [1, 1]}, "blocks needs three numbers"),
+        ({"blocks": [1, 1, "a"]}, "blocks must be of type int"),
+        ({"matching": "local"}, "matching must be one of global, windowed, not 'local'"),
+        ({"seed_radius": float("nan")}, "seed_radius must be finite"),
+        ({"widths": 3}, "unknown network setting 'widths'"),
+        ({"stride": "8"}, "stride must be of type int"),
+    ],
+)
+def test_settings_that_make_no_network_are_named(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(MethodError, match=message):
+        RigidMatchSettings.from_dict(values)
+
+
+def test_the_full_size_keeps_to_its_budget() -> None:
+    assert sum(one.numel() for one in RigidMatch().parameters()) < 12e6
+
+
+# --- the inputs ---
+
+
+def test_normals_of_a_plane_face_the_camera() -> None:
+    normal = torch.tensor([0.3, -0.5, -0.8])
+    normal = normal / normal.norm()
+    ray = torch.cat([cells(9, 12, torch.device("cpu")) / 10 - 0.5, torch.ones(1, 9, 12)])
+    points = ray * (-0.9 / (normal[:, None, None] * ray).sum(0))
+    points[:, 4, 6] = torch.nan
+    image, safe, valid = describe(torch.zeros(1, 3, 9, 12), points[None], 4)
+    assert image.shape == (1, 8, 12, 12)
+    found = image[0, 5:, 1:8, 1:11]
+    alone = torch.ones(7, 10, dtype=torch.bool)
+    for row, column in ((2, 5), (4, 5), (3, 4), (3, 6)):
+        alone[row, column] = False  # next to the hole
+    torch.testing.assert_close(found[:, alone], normal[:, None].expand(-1, int(alone.sum())), rtol=0, atol=1e-4)
+    assert not found[:, ~alone].any()
+    assert valid.sum() == 9 * 12 - 1
+    assert (safe[0, :, 4, 6] == 0).all()
+    torch.testing.assert_close(image[0, 3, 0, 0], 1 / points[2, 0, 0])
+
+
+def test_a_grid_takes_single_points_and_fills_holes_from_near() -> None:
+    points = torch.arange(3 * 8 * 8, dtype=torch.float32).reshape(1, 3, 8, 8)
+    valid = torch.ones(1, 1, 8, 8)
+    valid[..., 4, 4] = 0
+    found = grid(points * valid, valid, 4)
+    assert torch.equal(found.points[..., 0, 1], points[..., 0, 4])
+    torch.testing.assert_close(found.points[0, :, 1, 1], points[0, :, (0, 0, 4), (0, 4, 0)].mean(-1))
+    assert found.valid.sum() == 3
+
+
+# --- matching ---
+
+
+def test_dual_softmax_is_that_of_its_definition_with_the_true_gradient() -> None:
+    rng = generator(1)
+    scores = torch.randn(2, 5, 6, dtype=torch.float64, generator=rng).mul(3).requires_grad_()
+    hidden = torch.randn(2, 5, dtype=torch.float64, generator=rng).requires_grad_()
+    values = torch.randn(2, 6, 3, dtype=torch.float64, generator=rng).requires_grad_()
+    sums, rows, columns = dual_softmax_mean(scores, hidden, values)
+    with_hidden = torch.cat([scores, hidden[..., None]], dim=2)
+    weights = with_hidden.softmax(2)[..., :-1] * scores.softmax(1)
+    torch.testing.assert_close(sums, weights @ values)
+    torch.testing.assert_close(rows, with_hidden.logsumexp(2))
+    torch.testing.assert_close(columns, scores.logsumexp(1))
+    with torch.no_grad():
+        torch.testing.assert_close(dual_softmax_mean(scores, hidden, values)[0], sums)
+    assert torch.autograd.gradcheck(dual_softmax_mean, (scores, hidden, values))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("cells", [5, 128, 300])
+def test_without_a_table_the_dual_softmax_is_the_same(cells: int) -> None:
+    rng = generator(2)
+    left, right = (torch.randn(2, n, 9, dtype=torch.float64, generator=rng) for n in (cells, 70))
+    hidden = torch.randn(2, cells, dtype=torch.float64, generator=rng)
+    values = torch.randn(2, 70, 3, dtype=torch.float64, generator=rng)
+    whole = dual_softmax_mean(left @ right.mT, hidden, values)
+    for one, other in zip(dual_softmax_mean_of_product(left, right, hidden, values), whole, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+@torch.no_grad()
+def test_the_network_says_the_same_without_the_table() -> None:
+    made, seen = RigidMatch(TINY_RIGID, generator=generator()).eval(), images(48, 64)
+    whole, spared = made(*seen), made(*seen, table=False)
+    assert spared.scores.numel() == 0
+    for name, one in spared._asdict().items():
+        if name != "scores":
+            torch.testing.assert_close(one, getattr(whole, name), atol=1e-4, rtol=1e-4)
+
+
+def test_barred_cells_and_large_logits_keep_everything_finite() -> None:
+    scores = torch.full((1, 3, 4), -1e4)
+    scores[0, 0, 1] = 60.0
+    scores[0, 1, 2] = -60.0
+    scores.requires_grad_()
+    sums, rows, columns = dual_softmax_mean(scores, torch.zeros(1, 3), torch.ones(1, 4, 2))
+    (sums.sum() + rows.sum() + columns.sum()).backward()  # type: ignore[no-untyped-call]
+    assert scores.grad is not None
+    assert all(bool(one.isfinite().all()) for one in (sums, rows, columns, scores.grad))
+    assert float(sums[0, 0, 0].detach()) == pytest.approx(1)
+
+
+def matcher(**changes: Any) -> GlobalMatching:
+    """Tokens are their own descriptors; nothing is expected, and nothing hidden."""
+    made = GlobalMatching(dataclasses.replace(TINY_RIGID, **changes))
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter.zero_()
+        made.project.weight.copy_(torch.eye(16))
+        made.log_scale.fill_(4.0)
+        made.prior.bias[0] = -20.0
+        made.hidden.bias.fill_(-20.0)
+    return made
+
+
+def test_matching_finds_shuffled_cells_and_their_points() -> None:
+    size = (4, 5)
+    curr = torch.randn(1, 20, 16, generator=generator(2))
+    order = torch.randperm(20, generator=generator(3))
+    prev = curr[:, order]
+    points = [torch.rand(1, 3, *size, generator=generator(k)) + 0.5 for k in (4, 5)]
+    grids = [Grid(one, torch.ones(1, 1, *size)) for one in points]
+    found = matcher()(torch.cat([curr, prev]), *grids)
+    true = order.argsort()
+    assert torch.equal(found.scores[0].argmax(1), true)
+    assert float(found.confidence.detach().min()) > 0.99
+    there = points[1].flatten(2)[0, :, true].reshape(3, *size)
+    torch.testing.assert_close(points[0][0] + found.shift[0, 2:], there, rtol=0, atol=0.01)
+    place = cells(*size, torch.device("cpu"))
+    moved = place.flatten(1)[:, true].reshape(2, *size) - place
+    torch.testing.assert_close(found.shift[0, :2], moved, rtol=0, atol=0.05)
+    torch.testing.assert_close(found.feature[0].flatten(1).T, curr[0], rtol=0, atol=0.05)
+
+
+def test_cells_without_depth_and_beyond_the_window_are_never_matched() -> None:
+    size = (1, 8)
+    tokens = torch.eye(8, 16)[None]
+    points = torch.ones(1, 3, *size)
+    valid = torch.ones(1, 1, *size)
+    valid[..., 5] = 0
+    found = matcher(matching="windowed", reach=2)(
+        torch.cat([tokens, tokens.roll(4, 1)]), Grid(points, torch.ones_like(valid)), Grid(points, valid)
+    )
+    place = torch.arange(8)
+    assert (found.scores[0][(place[:, None] - place).abs() > 2] < -5e3).all()
+    assert (found.scores[0][:, 5] < -5e3).all()
+
+
+def test_the_prior_prefers_cells_where_it_expects_them() -> None:
+    made = matcher()
+    with torch.no_grad():
+        made.project.weight.zero_()  # a table: all looks alike
+        made.prior.bias.copy_(torch.tensor([3.0, 0.5, -0.25]))  # two columns on, one row up
+    one = Grid(torch.ones(1, 3, 4, 6), torch.ones(1, 1, 4, 6))
+    found = made(torch.ones(2, 24, 16), one, one)
+    best = found.scores[0].argmax(1)
+    column, row = best % 6, best // 6
+    place = cells(4, 6, torch.device("cpu")).flatten(1).long()
+    assert torch.equal(column, (place[0] + 2).clamp(max=5))
+    assert torch.equal(row, (place[1] - 1).clamp(min=0))
+    distance = torch.stack([column - place[0] - 2, row - place[1] + 1]).float()
+    expected = -torch.nn.functional.softplus(torch.tensor(3.0)) / 16 * distance.square().sum(0)
+    torch.testing.assert_close(found.scores[0].amax(1), expected, rtol=0, atol=1e-4)
+
+
+# --- seeds ---
+
+
+def test_seeds_are_the_greedy_ones() -> None:
+    rng = np.random.default_rng(0)
+    votes, sure = rng.uniform(0, 0.3, (40, 6)), rng.uniform(0, 1, 40)
+    left, expected = sure.copy(), []
+    for _ in range(7):
+        best = int(left.argmax())
+        expected.append(best)
+        left = left * (1 - np.exp(-np.square(votes - votes[best]).sum(1) / 0.05**2))
+    found = choose_seeds(torch.from_numpy(votes)[None], torch.from_numpy(sure)[None], 7, 0.05)
+    assert found[0].tolist() == expected
+
+
+# --- the solve ---
+
+
+def matches(seed: int, count: int = 30) -> tuple[Tensor, Tensor, Tensor, Rotation, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    turn, shift = Rotation.from_rotvec(rng.normal(size=3)), rng.normal(size=3)
+    curr = rng.normal(size=(count, 3)) * 0.05 + [0.1, -0.2, 0.9]
+    prev = turn.apply(curr) + shift
+    weights = rng.uniform(0, 1, count)
+    return torch.from_numpy(weights), torch.from_numpy(curr), torch.from_numpy(prev), turn, shift
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_exact_matches_give_the_exact_motion(seed: int) -> None:
+    w, p, q, turn, shift = matches(seed)
+    R, t = solve_motions(w[None, None], p[None], q[None], torch.zeros(1, 1, 6))
+    np.testing.assert_allclose(R[0, 0].numpy(), turn.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(t[0, 0].numpy(), shift, atol=1e-9)
+
+
+def test_noisy_matches_give_the_weighted_least_squares_of_scipy() -> None:
+    w, p, q, _, _ = matches(4)
+    q = q + 0.01 * torch.randn(q.shape, dtype=q.dtype, generator=generator(1))
+    R, t = solve_motions(w[None, None], p[None], q[None], torch.zeros(1, 1, 6))
+    p_mean, q_mean = ((w[:, None] * one).sum(0) / w.sum() for one in (p, q))
+    expected, _ = Rotation.align_vectors((q - q_mean).numpy(), (p - p_mean).numpy(), w.numpy())
+    np.testing.assert_allclose(R[0, 0].numpy(), expected.as_matrix(), atol=1e-7)
+    np.testing.assert_allclose(t[0, 0].numpy(), (q_mean - R[0, 0] @ p_mean).numpy(), atol=1e-9)
+
+
+def test_the_solve_has_the_true_gradient() -> None:
+    w, p, q, _, _ = matches(5, count=6)
+    q = q + 0.01 * torch.randn(q.shape, dtype=q.dtype, generator=generator(2))
+    votes = torch.randn(1, 2, 6, dtype=torch.float64, generator=generator(3))
+    both = torch.stack([w, w.flip(0)])[None].requires_grad_()
+    inputs = (both, p[None].clone().requires_grad_(), q[None].clone().requires_grad_(), votes.requires_grad_())
+    assert torch.autograd.gradcheck(lambda *x: solve_motions(*x, prior=0.3), inputs)
+
+
+@pytest.mark.parametrize("kind", ["nothing", "one point", "a line", "mirrored"])
+@pytest.mark.parametrize("prior", [0.0, 1.0])
+def test_where_points_fix_no_rotation_everything_stays_finite(kind: str, prior: float) -> None:
+    w, p, q, _, _ = (one.clone() if isinstance(one, Tensor) else one for one in matches(6))
+    if kind == "nothing":
+        w = torch.zeros_like(w)
+    elif kind == "one point":
+        p, q = p[:1].expand_as(p).clone(), q[:1].expand_as(q).clone()
+    elif kind == "a line":
+        p = p[:1] + torch.arange(30.0)[:, None] * 0.01 * torch.tensor([1.0, 0, 0])
+        q = p + 0.1
+    else:
+        q = p * torch.tensor([1.0, 1, -1])
+    w, p, q = (one.float().requires_grad_() for one in (w, p, q))
+    R, t = solve_motions(w[None, None], p[None], q[None], torch.zeros(1, 1, 6), prior=prior)
+    (R.square().sum() + R[..., 0, 1].sum() + t.sum()).backward()  # type: ignore[no-untyped-call]
+    assert float(torch.linalg.det(R[0, 0].detach().double())) == pytest.approx(1, abs=1e-5)
+    for one in (R, t, w.grad, p.grad, q.grad):
+        assert one is not None
+        assert bool(one.isfinite().all())
+
+
+def test_without_matches_the_votes_say_how_the_object_moved() -> None:
+    votes = torch.tensor([[[0.1, 0.2, 0.9, 0.15, 0.2, 0.8]]])
+    R, t = solve_motions(torch.zeros(1, 1, 5), torch.rand(1, 5, 3), torch.rand(1, 5, 3), votes, prior=1.0)
+    torch.testing.assert_close(R[0, 0], torch.eye(3))
+    torch.testing.assert_close(t[0, 0], torch.tensor([0.05, 0.0, -0.1]))
+
+
+def test_matches_that_do_not_fit_weigh_less() -> None:
+    p = torch.rand(1, 4, 3, generator=generator(4))
+    q = p + torch.tensor([0.0, 0.0, 0.1])
+    q[0, 3, 0] += 0.02
+    found = agreement(torch.eye(3)[None, None], torch.tensor([[[0.0, 0.0, 0.1]]]), p, q, 0.02)
+    torch.testing.assert_close(found[0, 0], torch.tensor([1.0, 1.0, 1.0, 0.5]))
+
+
+# --- the whole ---
+
+
+FORMS: list[dict[str, Any]] = [
+    {},
+    {"matching": "windowed", "reach": 3},
+    {"motion": "regress"},
+    {"objects": "spheres"},
+    {"updates": 0},
+    {"updates": 2, "window": 2, "stride": 8, "rounds": 0, "key_pool": 1},
+    {"decoder_layers": 0, "attention_layers": 0},
+]
+
+
+@pytest.mark.parametrize("changes", FORMS, ids=str)
+def test_every_form_of_the_network_speaks_and_learns(changes: dict[str, Any]) -> None:
+    settings = dataclasses.replace(TINY_RIGID, **changes)
+    network = RigidMatch(settings, generator=generator())
+    output = network(*images(37, 50))
+    H, W = (-(-one // (2 * settings.stride)) * 4 for one in (37, 50))
+    assert output.match.shape == (2, 3, H, W)
+    assert output.masks.shape[1:] == (2, 4, H, W)
+    assert output.upsampling.shape == (2, 9, settings.fine_stride**2, H, W)
+    numbers = [one for one in output if one.is_floating_point()]
+    assert all(bool(one.isfinite().all()) for one in numbers)
+    torch.testing.assert_close(torch.linalg.det(output.rotation), torch.ones(2, 4), rtol=0, atol=1e-4)
+    torch.stack([one.clamp(-1e3, 1e3).square().mean() for one in numbers]).sum().backward()  # type: ignore[no-untyped-call]
+    without = [name for name, one in network.named_parameters() if one.grad is None]
+    assert without == []
+    assert all(bool(one.grad.isfinite().all()) for one in network.parameters() if one.grad is not None)
+
+
+def test_frames_without_any_depth_do_no_harm() -> None:
+    seen = images(32, 48)
+    for index in (1, 3):
+        seen[index] = torch.full_like(seen[index], torch.nan)
+    output = RigidMatch(TINY_RIGID, generator=generator()).eval()(*seen)
+    assert all(bool(one.isfinite().all()) for one in output)
+
+
+def test_pairs_of_a_batch_do_not_see_each_other() -> None:
+    network = RigidMatch(TINY_RIGID, generator=generator()).eval()
+    seen = images(32, 48)
+    with torch.no_grad():
+        both, one = network(*seen), network(*(image[1:] for image in seen))
+    torch.testing.assert_close(both.match[1:], one.match, rtol=0, atol=1e-5)
+    torch.testing.assert_close(both.masks[:, 1:], one.masks, rtol=0, atol=1e-3)
+    torch.testing.assert_close(both.translation[1:], one.translation, rtol=0, atol=1e-4)
+
+
+def test_in_bfloat16_places_keep_their_digits() -> None:
+    network = RigidMatch(TINY_RIGID, generator=generator()).eval()
+    seen = images(32, 48)
+    with torch.no_grad():
+        exact = network(*seen)
+        with torch.autocast("cpu", torch.bfloat16):
+            coarse = network(*seen)
+    assert {one.dtype for one in coarse if one.is_floating_point()} == {torch.float32}
+    # Votes are offsets from points; with bfloat16 points they would be off by millimetres.
+    where = exact.window_center.eq(coarse.window_center).all(1, keepdim=True)
+    assert float(where.float().mean()) > 0.9
+    assert float(((exact.votes - coarse.votes).abs() * where).median()) < 2e-3

@@ -1,0 +1,102 @@
+"""ONNX files say what torch says, on frames that the export has not seen; and appear whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.small_networks import TINY, save
+from objectflow.cli import main
+from objectflow.errors import MethodError, MissingExtraError, StorageError
+from objectflow.networks import DenseMotion, SceneFlowNet, export
+from objectflow.networks.weights import save_weights
+
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+
+def network(**changes: Any) -> SceneFlowNet:
+    """Every parameter alive, so that every layer counts."""
+    made = SceneFlowNet(dataclasses.replace(TINY, **changes), generator=torch.Generator().manual_seed(3))
+    for parameter in made.parameters():
+        if not parameter.any():
+            torch.nn.init.constant_(parameter, 0.1)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("changes", "size"),
+    [({}, (40, 56)), ({"missing": "masked", "correlation_mean": True}, (37, 50)), ({"correlation": False}, (40, 56))],
+)
+def test_onnxruntime_says_what_torch_says(tmp_path: Path, changes: dict[str, Any], size: tuple[int, int]) -> None:
+    path, made = tmp_path / "n.onnx", network(**changes).train()
+    differences = export.export_onnx(path, made, size, {"variant": "one"})
+    assert made.training
+    assert list(differences) == list(DenseMotion._fields)
+    assert 0 < max(differences.values()) < 1e-5
+    model = onnx.load(path)
+    assert model.opset_import[0].version == 17
+    (about,) = model.metadata_props
+    assert json.loads(about.value) == {
+        "network": made.settings.to_dict(), "size": list(size), "metadata": {"variant": "one"}
+    }  # fmt: skip
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    rng = np.random.default_rng(9)
+    frames = {name: rng.normal(1, 0.5, (1, 3, *size)).astype(np.float32) for name in export.INPUTS}
+    frames["prev_points"][:, :, 5:20, 10:30] = np.nan
+    frames["curr_points"][:, :, 15:35, :9] = np.nan
+    found = session.run(None, frames)
+    with torch.no_grad():
+        expected = made.eval()(*(torch.from_numpy(frames[name]) for name in export.INPUTS))
+    assert [one.name for one in session.get_outputs()] == list(DenseMotion._fields)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other.numpy(), rtol=0, atol=1e-5 * float(other.abs().max()))
+
+
+def test_a_graph_that_says_something_else_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = network()
+    torch.nn.init.constant_(other.heads.maps["translation"].bias, 0.5)  # type: ignore[arg-type]
+    real = export._trace
+    monkeypatch.setattr(export, "_trace", lambda *arguments: (real(*arguments)[0], real(other, arguments[1])[1]))
+    with pytest.raises(MethodError, match=r"not written: translation differs from torch by \S+ of its largest value"):
+        export.export_onnx(tmp_path / "n.onnx", network(), (16, 16))
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_done_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(MethodError, match="export needs a size of at least 8x8, not 4x64"):
+        export.export_onnx(tmp_path / "n.onnx", network(), (4, 64))
+    with pytest.raises(StorageError):
+        export.export_onnx(tmp_path / "none" / "n.onnx", network(), (16, 16))
+    monkeypatch.setitem(__import__("sys").modules, "onnxruntime", None)
+    with pytest.raises(MissingExtraError, match=r"pip install .objectflow\[onnx\]"):
+        export.export_onnx(tmp_path / "n.onnx", network(), (16, 16))
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_exports_and_reports(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    weights, out = save(tmp_path / "w.safetensors", size=[24, 32]), tmp_path / "n.onnx"
+    assert main(["export", "--format", "onnx", "--weights", str(weights), "--out", str(out)]) == 0
+    printed = capfd.readouterr()
+    assert f"written to {out}: 24x32, opset 17" in printed.out
+    assert "differs from torch by at most" in printed.out
+    command = ["export", "--weights", str(weights), "--size", "16", "40", "--out", str(out)]
+    assert main(command) == 0
+    (curr_points,) = (one for one in onnx.load(out).graph.input if one.name == "curr_points")
+    assert [one.dim_value for one in curr_points.type.tensor_type.shape.dim] == [1, 3, 16, 40]
+    out.unlink()
+    capfd.readouterr()
+    save_weights(weights, SceneFlowNet(TINY), {"size": "large"})
+    assert main(["export", "--weights", str(weights), "--out", str(out)]) == 2
+    assert main(["export", "--weights", str(tmp_path / "nothing"), "--out", str(out)]) == 2
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "its size must be" in lines[0]
+    assert "no such file or folder of weights" in lines[1]
+    assert not out.exists()

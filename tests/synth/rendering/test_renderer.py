@@ -1,0 +1,362 @@
+"""The renderer against Embree, against pictures worked out by hand, and against bad input."""
+
+from __future__ import annotations
+
+import gc
+import importlib.metadata
+import sys
+import weakref
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
+
+mujoco = pytest.importorskip("mujoco", reason="rendering needs the extra [synth]")
+pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
+
+from objectflow.synth.objects.procedural import open_library  # noqa: E402
+from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays  # noqa: E402
+from objectflow.synth.rendering.renderer import Renderer  # noqa: E402
+
+WIDTH, HEIGHT = 96, 72
+AMBIENT, DIFFUSE = 0.25, 0.5
+
+
+def look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> NDArray[np.float64]:
+    """world_T_camera, x right, y down, z forward."""
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.999 else (0, 1, 0))
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = eye
+    return pose
+
+
+def empty_scene(light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
+    """A floor, a camera with an off-centre principal point, and four lights, two of them dark."""
+    spec = mujoco.MjSpec()
+    spec.visual.headlight.active = False
+    world = spec.worldbody
+    world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], rgba=[1, 1, 1, 1])
+    world.add_camera(
+        name="camera",
+        resolution=[WIDTH, HEIGHT],
+        focal_pixel=[71, 70],
+        sensor_size=[WIDTH * 1e-4, HEIGHT * 1e-4],
+        principal_pixel=[3, -2],
+    )
+    for number in range(4):
+        world.add_light(
+            name=f"light_{number}",
+            type=mujoco.mjtLightType.mjLIGHT_POINT,
+            pos=light,
+            dir=[0, 0, -1],
+            active=number < 2,
+            castshadow=True,
+            attenuation=[1, 0, 0],
+            ambient=[AMBIENT / 2] * 3,
+            diffuse=[DIFFUSE / 2] * 3,
+            specular=[0, 0, 0],
+        )
+    return spec
+
+
+def add_object(
+    spec: Any, number: int, vertices: NDArray[Any], faces: NDArray[Any], uv: NDArray[Any], texture: NDArray[np.uint8]
+) -> None:
+    """One object, textured, with a hull in group 3 that is twice its size and must not be seen."""
+    name = f"{number}"
+    spec.add_mesh(
+        name=f"seen_{name}",
+        uservert=vertices.astype(np.float32).ravel(),
+        userface=faces.astype(np.int32).ravel(),
+        usertexcoord=uv.astype(np.float32).ravel(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.add_mesh(name=f"hull_{name}", uservert=(2 * vertices).astype(np.float32).ravel())
+    image = spec.add_texture(
+        name=f"image_{name}",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=texture.shape[1],
+        height=texture.shape[0],
+        nchannel=3,
+    )
+    image.data = texture.tobytes()
+    material = spec.add_material(name=f"material_{name}", specular=0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"image_{name}"
+    body = spec.worldbody.add_body(name=f"obj_{number}")
+    body.add_freejoint()
+    mesh = mujoco.mjtGeom.mjGEOM_MESH
+    body.add_geom(type=mesh, meshname=f"seen_{name}", material=f"material_{name}", group=0)
+    body.add_geom(type=mesh, meshname=f"hull_{name}", group=3)
+
+
+CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+CUBE_FACES = np.array(
+    [
+        *[(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)],
+        *[(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)],
+    ]
+)
+GREY = np.full((4, 4, 3), 128, dtype=np.uint8)
+
+
+def cube_scene(half: float, light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
+    spec = empty_scene(light)
+    add_object(spec, 1, CUBE * half, CUBE_FACES, np.zeros((8, 2)), GREY)
+    return spec.compile()
+
+
+def poses(*positions: tuple[float, float, float]) -> NDArray[np.float64]:
+    """(1, N, 4, 4), not turned."""
+    result = np.tile(np.eye(4), (1, len(positions), 1, 1))
+    result[0, :, :3, 3] = positions
+    return result
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    return Renderer(WIDTH, HEIGHT)
+
+
+def test_labels_and_depth_equal_embree(renderer: Renderer) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex", reason="the comparison needs embreex")
+    from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+    library = open_library(None)
+    refs = library.refs("test")
+    models = [library.load(refs[index]) for index in range(0, len(refs), len(refs) // 9)]
+    spec = empty_scene()
+    for number, model in enumerate(models, 1):
+        add_object(spec, number, model.vertices, model.faces, model.uv, GREY)
+    compiled = spec.compile()
+    rng = np.random.default_rng(4)
+    world_T_objects = np.tile(np.eye(4), (2, len(models), 1, 1))
+    turns = Rotation.random(2 * len(models), random_state=rng).as_matrix()
+    world_T_objects[..., :3, :3] = turns.reshape(2, -1, 3, 3)
+    world_T_objects[..., :3, 3] = rng.uniform((-0.2, -0.2, 0.05), (0.2, 0.2, 0.2), (2, len(models), 3))
+    cameras = np.stack([look_at((0, -0.5, 0.5), (0, 0, 0.05)), look_at((0.4, 0.3, 0.7), (0, 0, 0))])
+    frames = renderer.render(compiled, world_T_objects, cameras)
+
+    # The camera of `empty_scene`, from its numbers.
+    column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    cx, cy = (WIDTH - 1) / 2 - 3, (HEIGHT - 1) / 2 + 2
+    rays = np.stack([(column - cx) / 71, (row - cy) / 70, np.ones(column.shape)], axis=-1).reshape(-1, 3)
+    seen = set[int]()
+    for frame, camera in np.ndindex(2, 2):
+        corners = [m.vertices @ p[:3, :3].T + p[:3, 3] for m, p in zip(models, world_T_objects[frame], strict=True)]
+        starts = np.cumsum([0, *(len(c) for c in corners)])
+        faces = np.concatenate([m.faces + start for m, start in zip(models, starts, strict=False)])
+        owner = np.repeat(np.arange(1, len(models) + 1), [len(m.faces) for m in models])
+        embree = RayMeshIntersector(trimesh.Trimesh(np.concatenate(corners), faces, process=False))
+        pose = cameras[camera]
+        directions = rays @ pose[:3, :3].T
+        origins = np.broadcast_to(pose[:3, 3], directions.shape)
+        hit, ray, place = embree.intersects_id(origins, directions, multiple_hits=False, return_locations=True)
+        with np.errstate(divide="ignore"):
+            depth = np.where(directions[:, 2] < 0, -pose[2, 3] / directions[:, 2], np.inf)
+        labels = np.zeros(len(rays), dtype=np.int64)
+        z = (place - pose[:3, 3]) @ pose[:3, 2]
+        nearer = z < depth[ray]
+        depth[ray[nearer]], labels[ray[nearer]] = z[nearer], owner[hit[nearer]]
+        depth[np.isinf(depth)] = 0
+        found = frames.labels[frame, camera].ravel()
+        np.testing.assert_allclose(frames.depth[frame, camera].ravel(), depth, atol=1e-5)
+        # A ray that meets two surfaces at one depth, where objects cross, may see either.
+        assert (found != labels).sum() <= 1
+        seen |= set(found.tolist())
+    assert seen == set(range(len(models) + 1))
+
+
+def test_rays_are_those_of_the_model_s_camera() -> None:
+    """Against the rays that mujoco-warp makes of the same camera."""
+    import mujoco_warp
+    import warp
+
+    model = cube_scene(0.05)
+    with warp.ScopedDevice("cpu"):
+        theirs = mujoco_warp.create_render_context(model, cam_res=(2 * WIDTH, 2 * HEIGHT)).ray.numpy()
+    np.testing.assert_allclose(pixel_rays(model, 2 * WIDTH, 2 * HEIGHT, 1), theirs, atol=1e-6)
+
+
+def test_a_camera_given_by_its_opening_alone() -> None:
+    model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='camera' fovy='90'/></worldbody></mujoco>")
+    camera = camera_of(model, 320, 240)
+    assert (camera.fx, camera.fy) == pytest.approx((120, 120))
+    assert (camera.cx, camera.cy) == (159.5, 119.5)
+
+
+def test_light_shadow_and_depth_of_a_cube_seen_from_above(renderer: Renderer) -> None:
+    """A light far above: the floor is lit by ambient and diffuse light, and below a floating cube by ambient alone."""
+    model = cube_scene(0.05, light=(0, 0, 1000))
+    side = look_at((0, -0.9, 0.25), (0, 0, 0.05))
+    frames = renderer.render(model, poses((0, 0, 0.2)), np.stack([look_at((0, 0, 1), (0, 0, 0)), side]))
+    color, depth, labels = frames.color[0, 0], frames.depth[0, 0], frames.labels[0, 0]
+    assert frames.color.shape == (1, 2, HEIGHT, WIDTH, 3)
+    # From above: top of the cube at z = 0.25, the floor at 0.
+    np.testing.assert_allclose(depth[labels == 1], 0.75, atol=1e-6)
+    np.testing.assert_allclose(depth[labels == 0], 1.0, atol=1e-6)
+    width = (labels == 1).any(axis=0).sum()
+    assert abs(width - 0.1 / 0.75 * 71) <= 1
+    assert abs(color[labels == 0].astype(float) - 255 * (AMBIENT + DIFFUSE)).max() < 2
+    assert abs(color[labels == 1].astype(float) - 128 * (AMBIENT + DIFFUSE)).max() < 2
+    # From the side: the floor below the cube is dark.
+    column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
+    camera = camera_of(model, WIDTH, HEIGHT)
+    rays = np.stack([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, np.ones(row.shape)], axis=-1)
+    points = (rays * frames.depth[0, 1][..., None]) @ side[:3, :3].T + side[:3, 3]
+    floor = (frames.labels[0, 1] == 0) & (frames.depth[0, 1] > 0)
+    below = floor & (np.abs(points[..., :2]).max(axis=-1) < 0.049)
+    beside = floor & (np.abs(points[..., :2]).max(axis=-1) > 0.051) & (points[..., 1] < 1)
+    assert below.sum() > 10
+    assert abs(frames.color[0, 1][below].astype(float) - 255 * AMBIENT).max() < 2
+    assert frames.color[0, 1][beside].min() > 255 * AMBIENT + 20
+
+
+def test_textures_lie_as_mujoco_has_them(renderer: Renderer) -> None:
+    """A square that faces the camera: v runs downwards, so that 0 is the first row of the texture."""
+    texture = np.zeros((64, 64, 3), dtype=np.uint8)
+    texture[:32, :32], texture[:32, 32:] = (255, 0, 0), (0, 255, 0)
+    texture[32:, :32], texture[32:, 32:] = (0, 0, 255), (255, 255, 255)
+    corners = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (0, 0, -1)]) * 0.1
+    uv = np.array([(0, 1), (1, 1), (1, 0), (0, 0), (0, 0)])
+    faces = np.array([(0, 1, 2), (0, 2, 3), (1, 0, 4), (2, 1, 4), (3, 2, 4), (0, 3, 4)])
+    spec = empty_scene(light=(0, 0, 1000))
+    add_object(spec, 1, corners, faces, uv, texture)
+    camera = look_at((0, 0, 0.6), (0, 0, 0))
+    color = renderer.render(spec.compile(), poses((0, 0, 0.2)), camera[None]).color[0, 0] > 100
+    # The camera looks down, y up in the image: a corner at (x, y) shows at (cx + 71 x / 0.4, cy - 70 y / 0.4).
+    cx, cy = (WIDTH - 1) / 2 - 3, (HEIGHT - 1) / 2 + 2
+    found = {
+        (x, y): tuple(color[round(cy - 70 * y * 0.05 / 0.4), round(cx + 71 * x * 0.05 / 0.4)].tolist())
+        for x in (-1, 1)
+        for y in (-1, 1)
+    }
+    assert found == {
+        (-1, 1): (True, False, False),
+        (1, 1): (False, True, False),
+        (-1, -1): (False, False, True),
+        (1, -1): (True, True, True),
+    }
+
+
+def test_four_samples_smooth_colour_and_leave_the_rest(renderer: Renderer) -> None:
+    model = cube_scene(0.06)
+    arguments = (model, poses((0.02, 0.01, 0.06)), look_at((0.3, -0.5, 0.4), (0, 0, 0))[None])
+    one, four = renderer.render(*arguments), Renderer(WIDTH, HEIGHT, samples=4).render(*arguments)
+    np.testing.assert_array_equal(one.depth, four.depth)
+    np.testing.assert_array_equal(one.labels, four.labels)
+    # As if rendered at 8 times the size and averaged: four samples must come nearer to that than one.
+    fine = Renderer(8 * WIDTH, 8 * HEIGHT).render(*arguments).color[0, 0].astype(float)
+    mean = fine.reshape(HEIGHT, 8, WIDTH, 8, 3).mean(axis=(1, 3))
+    error = [float(np.square(frames.color[0, 0] - mean).mean()) for frames in (one, four)]
+    assert error[1] < 0.35 * error[0]
+
+
+def test_frames_and_cameras_together_are_those_one_by_one(renderer: Renderer) -> None:
+    model = cube_scene(0.05)
+    world_T_objects = np.concatenate([poses((0, 0, 0.05)), poses((0.1, 0.05, 0.1)), poses((-0.1, 0, 0.05))])
+    cameras = np.stack([look_at((0, -0.5, 0.5), (0, 0, 0)), look_at((0.6, 0, 0.3), (0, 0, 0))])
+    together = renderer.render(model, world_T_objects, cameras)
+    for frame, camera in np.ndindex(3, 2):
+        alone = renderer.render(model, world_T_objects[frame : frame + 1], cameras[camera : camera + 1])
+        np.testing.assert_array_equal(together.color[frame, camera], alone.color[0, 0])
+        np.testing.assert_array_equal(together.depth[frame, camera], alone.depth[0, 0])
+        np.testing.assert_array_equal(together.labels[frame, camera], alone.labels[0, 0])
+
+
+def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd: pytest.CaptureFixture[str]) -> None:
+    """Asked for all it can say, Warp prints when it loads a module; scenes differ in size, number and lights."""
+    import warp
+
+    camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
+    renderer.render(cube_scene(0.05), poses((0, 0, 0.05)), camera)
+    kernels = dict(renderer._kernels)
+    renderer.render(cube_scene(0.07), poses((0, 0, 0.07)), camera)
+    assert renderer._kernels == kernels
+    level, warp.config.log_level = warp.config.log_level, warp.LOG_DEBUG
+    try:
+        capfd.readouterr()
+        for number, size in enumerate((0.02, 0.4, 0.08), 1):
+            spec = empty_scene(light=(0.2 * number, 0.1, 2 + number))
+            for k in range(1, number + 1):
+                add_object(spec, k, CUBE * size, CUBE_FACES, np.zeros((8, 2)), GREY)
+            spec.lights[2].active = number == 2
+            spec.lights[0].type = mujoco.mjtLightType.mjLIGHT_SPOT
+            spec.lights[1].attenuation = [1, 0.1 * number, 0]
+            spec.visual.headlight.active = number == 3
+            # A renderer that has no kernel yet, so that what goes into one is looked at again.
+            fresh = Renderer(WIDTH, HEIGHT)
+            fresh.render(spec.compile(), poses(*[(0.1 * k, 0, size) for k in range(number)]), camera)
+            assert len(fresh._kernels) == 1
+        assert "Module" not in capfd.readouterr().out
+        # A module that is new does say so.
+        other = mujoco.MjModel.from_xml_string(
+            "<mujoco><worldbody><camera name='camera'/><light pos='0 0 2'/>"
+            "<geom type='sphere' size='.1'/></worldbody></mujoco>"
+        )
+        renderer.render(other, np.empty((1, 0, 4, 4)), camera)
+        assert "Module" in capfd.readouterr().out
+    finally:
+        warp.config.log_level = level
+
+
+def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
+    """Without a walk through all that Python holds, which comes too late: a model's megabytes are not Python's."""
+    model = cube_scene(0.05)
+    watch = weakref.ref(model)
+    gc.disable()
+    try:
+        renderer.render(model, poses((0, 0, 0.05)), look_at((0, -0.5, 0.5), (0, 0, 0))[None])
+        del model
+        assert watch() is None
+    finally:
+        gc.enable()
+
+
+def test_no_versions_are_looked_up_from_the_second_scene_on(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """mujoco-warp asks for MuJoCo's version again and again, and each answer reads a file."""
+    looked_up: list[str] = []
+    version = importlib.metadata.version
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: (looked_up.append(name), version(name))[1])
+    camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
+    renderer.render(cube_scene(0.05), poses((0, 0, 0.05)), camera)
+    looked_up.clear()
+    renderer.render(cube_scene(0.07), poses((0, 0, 0.07)), camera)
+    assert looked_up == []
+
+
+def test_bad_input(renderer: Renderer) -> None:
+    model = cube_scene(0.05)
+    camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
+    with pytest.raises(DatasetError, match=r"it needs \(1, 1, 4, 4\)"):
+        renderer.render(model, poses((0, 0, 0), (1, 0, 0)), camera)
+    with pytest.raises(ObjectflowError, match="1 or 4"):
+        Renderer(8, 8, samples=2)
+    with pytest.raises(ObjectflowError, match="choose cpu or cuda"):
+        Renderer(8, 8, device="tpu")  # type: ignore[arg-type]
+
+
+def test_cuda_where_there_is_none() -> None:
+    import warp
+
+    if warp.is_cuda_available():
+        pytest.skip("this machine has CUDA")
+    with pytest.raises(ObjectflowError, match="no CUDA device") as raised:
+        Renderer(8, 8, device="cuda")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("missing", ["warp", "mujoco_warp"])
+def test_without_the_extra(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(MissingExtraError, match=r"objectflow\[synth\]"):
+        Renderer(8, 8)

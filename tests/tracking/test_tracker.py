@@ -1,0 +1,230 @@
+"""Plates that slide before a wall: masks and motions known, so ids and trajectories are too."""
+
+from __future__ import annotations
+
+import gc
+import json
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from objectflow import geometry
+from objectflow.errors import FrameError
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.tracking.tracker import Tracker, TrackerSettings, footprint_overlap
+from objectflow.tracking.trajectory_files import tum_lines, write_tracks
+
+CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+HALF_PIXEL = 0.5 / 150
+"""Metres at 1 m: how far the middle of a plate's pixels may be from its centre."""
+Array = NDArray[np.float64]
+
+
+def plates(
+    centers: dict[int, tuple[float, float]],
+    before: dict[int, tuple[float, float]],
+    *,
+    camera_motion: Array | None = None,
+    order: tuple[int, ...] | None = None,
+) -> tuple[RgbdFrame, SceneMotion, dict[int, int]]:
+    """Square plates of 24 cm at 1 m before a wall at 2 m. Each has a number here, and another id in the frame.
+
+    Returns the current frame, the motion, and the id of each number.
+    """
+    depth = np.full((120, 160), 2.0, np.float32)
+    labels = np.zeros((120, 160), np.int32)
+    ids = {number: k for k, number in enumerate(order or tuple(centers), start=1)}
+    objects = []
+    v, u = np.mgrid[0:120, 0:160]
+    for number in sorted(ids, key=lambda n: ids[n]):
+        x, y = centers[number]
+        inside = (np.abs((u - 79.5) / 150 - x) < 0.12) & (np.abs((v - 59.5) / 150 - y) < 0.12)
+        labels[inside], depth[inside] = ids[number], 1.0
+        motion = np.eye(4)
+        motion[:2, 3] = np.array(before[number]) - centers[number]
+        if camera_motion is not None:
+            motion = camera_motion @ motion
+        center = np.array([x, y, 1.0])
+        objects.append(ObjectMotion(ids[number], int(inside.sum()), 0.9, True, center, motion))
+    frame = RgbdFrame(np.zeros((120, 160, 3), np.uint8), depth, CAMERA)
+    flow = np.zeros((120, 160, 3), np.float32)
+    return frame, SceneMotion(labels, flow, tuple(objects), camera_motion), ids
+
+
+def test_ids_last_though_the_pairs_number_their_objects_anew() -> None:
+    tracker = Tracker()
+    where = {1: [(-0.3 + 0.03 * t, 0.0) for t in range(6)], 2: [(0.3 - 0.03 * t, 0.02 * t) for t in range(6)]}
+    seen: dict[int, set[int]] = {1: set(), 2: set()}
+    for t in range(1, 6):
+        order = (1, 2) if t % 2 else (2, 1)
+        frame, motion, ids = plates(
+            {n: p[t] for n, p in where.items()}, {n: p[t - 1] for n, p in where.items()}, order=order
+        )
+        found = tracker.update(t - 1, frame, t, motion)
+        for number, label in ids.items():
+            seen[number].add(found[label])
+    assert len(tracker.tracks) == 2
+    assert sorted(map(len, seen.values())) == [1, 1]
+    for number, path in where.items():
+        track = tracker.tracks[seen[number].pop() - 1]
+        assert track.times == [0, 1, 2, 3, 4, 5]
+        positions = np.array([pose[:2, 3] for pose in track.world_T_object])
+        # The middle of a plate's pixels is its centre to within half a pixel.
+        np.testing.assert_allclose(positions, path, atol=HALF_PIXEL)
+        np.testing.assert_allclose(np.diff(positions, axis=0), np.diff(path, axis=0), atol=1e-9)
+
+
+def test_turning_motions_are_chained() -> None:
+    tracker = Tracker()
+    frame, motion, _ = plates({1: (0.0, 0.0)}, {1: (0.0, 0.0)})
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("z", -10, degrees=True).as_matrix()
+    turned = ObjectMotion(1, motion.objects[0].pixels, 0.9, True, motion.objects[0].center, turn)
+    for t in range(1, 4):
+        tracker.update(t - 1, frame, t, SceneMotion(motion.labels, motion.scene_flow, (turned,)))
+    pose = tracker.tracks[0].world_T_object[-1]
+    np.testing.assert_allclose(Rotation.from_matrix(pose[:3, :3]).as_rotvec(), [0, 0, np.radians(30)], atol=1e-9)
+
+
+def test_a_thing_that_rests_keeps_its_id_when_it_moves_on() -> None:
+    tracker = Tracker()
+    first = plates({1: (0.03, 0.0)}, {1: (0.0, 0.0)})
+    rest = plates({}, {})
+    again = plates({1: (0.08, 0.0)}, {1: (0.03, 0.0)})
+    tracker.update(0, first[0], 1, first[1])
+    for t in range(1, 20):
+        assert tracker.update(t, rest[0], t + 1, rest[1]) == {}
+    assert tracker.update(20, again[0], 21, again[1]) == {1: 1}
+    assert tracker.tracks[0].times == [0, 1, 20, 21]
+    positions = [pose[0, 3] for pose in tracker.tracks[0].world_T_object]
+    np.testing.assert_allclose(positions, [0, 0.03, 0.03, 0.08], atol=HALF_PIXEL)
+    np.testing.assert_allclose(np.diff(positions), [0.03, 0, 0.05], atol=1e-9)
+
+
+def test_a_thing_hidden_while_it_moves_is_looked_for_further_on() -> None:
+    where = [(-0.38 + 0.12 * t, 0.0) for t in range(8)]
+    results = {}
+    for coast in (0, 3):
+        tracker = Tracker(TrackerSettings(coast=coast))
+        for t in range(1, 8):
+            hidden = t in (3, 4)
+            frame, motion, _ = plates({} if hidden else {1: where[t]}, {} if hidden else {1: where[t - 1]})
+            tracker.update(t - 1, frame, t, motion)
+        results[coast] = len(tracker.tracks)
+    assert results == {0: 2, 3: 1}
+
+
+def test_the_camera_is_taken_out() -> None:
+    # The camera slides by 5 cm a frame to the right: what it sees slides to the left, what moves with it stands still.
+    prev_T_curr = np.eye(4)
+    prev_T_curr[0, 3] = 0.05
+    tracker = Tracker()
+    frame, motion, _ = plates({1: (0.0, 0.0)}, {1: (0.0, 0.0)}, camera_motion=np.eye(4))
+    carried = ObjectMotion(1, motion.objects[0].pixels, 0.9, True, motion.objects[0].center, np.eye(4))
+    for t in range(1, 4):
+        tracker.update(t - 1, frame, t, SceneMotion(motion.labels, motion.scene_flow, (carried,), prev_T_curr))
+    np.testing.assert_allclose([pose[0, 3] for pose in tracker.world_T_camera], [0, 0.05, 0.1, 0.15], atol=1e-12)
+    np.testing.assert_allclose(np.diff([pose[0, 3] for pose in tracker.tracks[0].world_T_object]), 0.05, atol=1e-9)
+
+
+def test_still_and_doubtful_objects_get_no_track() -> None:
+    frame, motion, _ = plates({1: (0.0, 0.0), 2: (0.3, 0.0)}, {1: (0.0, 0.0), 2: (0.25, 0.0)})
+    still, doubtful = motion.objects
+    objects = (
+        ObjectMotion(1, still.pixels, 0.9, False, still.center, still.prev_T_curr),
+        ObjectMotion(2, doubtful.pixels, 0.1, True, doubtful.center, doubtful.prev_T_curr),
+    )
+    tracker = Tracker()
+    assert tracker.update(0, frame, 1, SceneMotion(motion.labels, motion.scene_flow, objects)) == {}
+    assert tracker.tracks == []
+
+
+@pytest.mark.parametrize(("absent", "tracks"), [(4, 1), (6, 2)])
+def test_what_is_long_gone_is_forgotten(absent: int, tracks: int) -> None:
+    """It comes back to where it was: known as long as it is remembered, a new thing after that."""
+    tracker = Tracker(TrackerSettings(forget=5))
+    there, gone = plates({1: (0.02, 0.0)}, {1: (0.0, 0.0)}), plates({}, {})
+    again = plates({1: (0.04, 0.0)}, {1: (0.02, 0.0)})
+    tracker.update(0, there[0], 1, there[1])
+    for t in range(1, 1 + absent):
+        tracker.update(t, gone[0], t + 1, gone[1])
+    assert tracker.update(absent + 1, again[0], absent + 2, again[1]) == {1: tracks}
+    assert len(tracker.tracks) == tracks
+
+
+def test_memory_stays_flat_while_things_come_and_go() -> None:
+    tracker = Tracker(TrackerSettings(forget=5, history=2))
+    rng = np.random.default_rng(0)
+    where = rng.uniform(-0.4, 0.4, (150, 2)) * (1, 0.7)
+    shots = [plates({1: (x, y)}, {1: (x + 0.02, y)}) for x, y in where]
+    rest = [plates({}, {})] * 6  # long enough for everything to be forgotten
+    time, ids, most = 0, 0, 0
+
+    def follow(shots: list[tuple[RgbdFrame, SceneMotion, dict[int, int]]]) -> int:
+        """Bytes in use once everything that came is gone."""
+        nonlocal time, ids, most
+        for frame, motion, _ in [*shots, *rest]:
+            tracker.update(time, frame, time + 1, motion)
+            time += 1
+            ids = max([ids, *(track.id for track in tracker.tracks)])
+            most = max(most, len(tracker.tracks))
+        assert tracker.tracks == []
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        used = [follow(shots[first : first + 50]) for first in (0, 50, 100)]
+    finally:
+        tracemalloc.stop()
+    assert ids > 30  # many came
+    assert most <= 6
+    # A surface of 600 points takes 14 KB, and dozens come in each window. What some library keeps once shows in
+    # one window; what the tracker kept of every thing would show in all.
+    assert min(np.diff(used)) < 20_000
+
+
+def test_overlap_of_footprints() -> None:
+    v, u = np.mgrid[0:40, 0:40]
+    plate = geometry.back_project(np.ones((120, 160), np.float32), CAMERA)[v, u].reshape(-1, 3).astype(np.float64)
+    half = plate + np.array([20 / 150, 0, 0])
+    assert footprint_overlap(plate, plate, CAMERA) == 1
+    assert abs(footprint_overlap(plate, half, CAMERA) - 1 / 3) < 0.08
+    assert footprint_overlap(plate, plate + np.array([1, 0, 0]), CAMERA) == 0
+
+
+def test_files(tmp_path: Path) -> None:
+    tracker = Tracker()
+    frame, motion, _ = plates({1: (0.03, 0.0)}, {1: (0.0, 0.0)})
+    tracker.update(10.0, frame, 10.5, motion)
+    write_tracks(tmp_path, tracker)
+    write_tracks(tmp_path, tracker)
+    tracks = json.loads((tmp_path / "tracks.json").read_text())["tracks"]
+    assert [track["id"] for track in tracks] == [1]
+    lines = np.loadtxt(tmp_path / "trajectories" / "object_001.txt")
+    np.testing.assert_allclose(lines[:, 0], [10.0, 10.5])
+    np.testing.assert_allclose(lines[1, 1:4] - lines[0, 1:4], [0.03, 0, 0], atol=1e-6)
+    assert sorted(p.name for p in (tmp_path / "trajectories").iterdir()) == ["object_001.txt"]
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    numbers = tum_lines([1.0], [pose]).splitlines()[1].split()
+    np.testing.assert_allclose([float(x) for x in numbers[4:]], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], atol=1e-6)
+
+
+def test_bad_input() -> None:
+    frame, motion, _ = plates({1: (0.0, 0.0)}, {1: (0.0, 0.0)})
+    tracker = Tracker()
+    with pytest.raises(FrameError, match="in order of time"):
+        tracker.update(2, frame, 1, motion)
+    tracker.update(0, frame, 1, motion)
+    with pytest.raises(FrameError, match="consecutive"):
+        tracker.update(2, frame, 3, motion)
+    small = SceneMotion(np.zeros((10, 10), np.int32), np.zeros((10, 10, 3), np.float32))
+    with pytest.raises(FrameError, match="do not fit"):
+        tracker.update(1, frame, 2, small)

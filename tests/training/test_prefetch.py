@@ -1,0 +1,76 @@
+"""Batches carried ahead of time, without the device that they are carried to: order, errors, and an early end."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Generator, Iterator
+from typing import Any
+
+import pytest
+import torch
+
+from helpers.training_runs import write_set
+from objectflow.dataset.batches import Batch, Batches
+from objectflow.dataset.shards import open_pairs
+from objectflow.errors import DatasetError
+from objectflow.training import prefetch
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def batches(tmp_path_factory: pytest.TempPathFactory) -> list[Batch]:
+    source = Batches(open_pairs(write_set(tmp_path_factory.mktemp("set"))), 2, size=None, seed=0)
+    return list(source.one_pass())
+
+
+@pytest.fixture(autouse=True)
+def no_pinned_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is pinned by CUDA's driver alone."""
+
+    def stays(tensor: torch.Tensor) -> torch.Tensor:
+        return tensor
+
+    monkeypatch.setattr(torch.Tensor, "pin_memory", stays)
+
+
+def ahead(source: Iterator[Batch]) -> Generator[Batch, None, None]:
+    out: Any = prefetch._copied_ahead(source, CPU)
+    return out
+
+
+def test_they_come_in_order_with_all_that_they_hold(batches: list[Batch]) -> None:
+    feed = ahead(iter(batches))
+    for expected, got in zip(batches, feed, strict=True):
+        assert got.keys == expected.keys
+        assert torch.equal(got.curr_color, expected.curr_color)
+        assert torch.equal(got.table.label, expected.table.label)
+
+
+def test_an_error_comes_out_after_what_came_before_it(batches: list[Batch]) -> None:
+    def breaks() -> Iterator[Batch]:
+        yield batches[0]
+        raise DatasetError("row 7 is damaged")
+
+    feed = ahead(breaks())
+    assert next(feed).keys == batches[0].keys
+    with pytest.raises(DatasetError, match="row 7 is damaged"):
+        next(feed)
+
+
+def test_closing_ends_the_thread_and_the_batches(batches: list[Batch]) -> None:
+    closed = threading.Event()
+
+    def endless() -> Iterator[Batch]:
+        try:
+            while True:
+                yield from batches
+        finally:
+            closed.set()
+
+    feed = ahead(endless())
+    next(feed)
+    (thread,) = (one for one in threading.enumerate() if one.name == "batches")
+    feed.close()
+    assert closed.is_set()
+    assert not thread.is_alive()
