@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from analytic_solids import Solid, Texture, draw_texture, unit
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
-Array = NDArray[np.float64]
 Rng = np.random.Generator
 
 
@@ -38,14 +37,14 @@ class AnalyticPair:
 
     prev: RgbdFrame
     curr: RgbdFrame
-    labels: NDArray[np.int32]
-    prev_labels: NDArray[np.int32]
-    prev_T_curr: dict[int, Array]
-    scene_flow: NDArray[np.float32]
-    visible: NDArray[np.bool_]
+    labels: LabelImage
+    prev_labels: LabelImage
+    prev_T_curr: dict[int, Float64Array]
+    scene_flow: Float32Array
+    visible: BoolMask
     moving: frozenset[int]
-    centers: dict[int, Array]
-    camera_motion: Array
+    centers: dict[int, Float64Array]
+    camera_motion: Float64Array
     kinds: dict[int, str] = field(default_factory=dict)
 
 
@@ -54,12 +53,12 @@ class World:
     """Solids with their poses at one moment, the plane, the light and the camera."""
 
     solids: list[Solid]
-    world_T_object: list[Array]
-    world_T_camera: Array
+    world_T_object: list[Float64Array]
+    world_T_camera: Float64Array
     plane: Texture
-    light: Array  # (3,) unit, world frame, towards the light
+    light: Float64Array  # (3,) unit, world frame, towards the light
 
-    def cast(self, rays: Array) -> tuple[Array, NDArray[np.int32], Array]:
+    def cast(self, rays: Float64Array) -> tuple[Float64Array, LabelImage, Float64Array]:
         """Camera rays (N, 3) with z = 1 -> planar depth (N,) (inf: nothing), labels, normals in the world frame."""
         world_R, eye = self.world_T_camera[:3, :3], self.world_T_camera[:3, 3]
         fall = rays @ world_R[2]
@@ -80,7 +79,7 @@ class World:
             normals[chosen] = normal[first] @ world_T_object[:3, :3].T
         return depth, labels, normals
 
-    def shade(self, rays: Array) -> Array:
+    def shade(self, rays: Float64Array) -> Float64Array:
         """Colours (N, 3) in 0..255 that camera rays see: Lambert with ambient light, no shadows."""
         depth, labels, normals = self.cast(rays)
         rgb = np.full((len(rays), 3), 90.0)
@@ -99,7 +98,7 @@ class World:
         return np.asarray(rgb * (0.4 + 0.65 * np.clip(normals @ self.light, 0, 1))[:, None])
 
 
-def pixel_rays(camera: Camera, du: float = 0.0, dv: float = 0.0) -> Array:
+def pixel_rays(camera: Camera, du: float = 0.0, dv: float = 0.0) -> Float64Array:
     """(H * W, 3) rays with z = 1 through pixel centres moved by (du, dv) pixels."""
     u, v = np.meshgrid(np.arange(camera.width) + du, np.arange(camera.height) + dv)
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
@@ -116,7 +115,7 @@ def make_scene(
     max_angle_deg: float = 30.0,
     moving_share: float = 1.0,
     depth_noise: float = 0.0,
-    camera_motion: Array | None = None,
+    camera_motion: Float64Array | None = None,
 ) -> AnalyticPair:
     """Draw and render a scene of a few objects that slide, turn or are lifted between two frames.
 
@@ -132,7 +131,7 @@ def make_scene(
     """
     rng = np.random.default_rng(seed)
     still = camera_motion is None
-    curr_T_prev_camera: Array = np.eye(4) if still else np.linalg.inv(np.asarray(camera_motion, np.float64))
+    curr_T_prev_camera: Float64Array = np.eye(4) if still else np.linalg.inv(np.asarray(camera_motion, np.float64))
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     plane = draw_texture(rng, np.array([512, 512]), plane=True)
@@ -152,10 +151,10 @@ def make_scene(
     curr_frame, labels, depth = _render(curr, camera, rng, depth_noise, "analytic curr")
     prev_frame, prev_labels, _ = _render(prev, camera, rng, depth_noise, "analytic prev")
 
-    prev_T_curr: dict[int, Array] = {}
-    centers: dict[int, Array] = {}
+    prev_T_curr: dict[int, Float64Array] = {}
+    centers: dict[int, Float64Array] = {}
     camera_prev_T_world, camera_curr_T_world = np.linalg.inv(prev.world_T_camera), np.linalg.inv(curr.world_T_camera)
-    world_motion: Array = np.eye(4) if still else np.asarray(camera_motion, dtype=np.float64)
+    world_motion: Float64Array = np.eye(4) if still else np.asarray(camera_motion, dtype=np.float64)
     for label, (a, b) in enumerate(zip(prev.world_T_object, curr.world_T_object, strict=True), start=1):
         turned = camera_prev_T_world @ a @ np.linalg.inv(b) @ curr.world_T_camera
         prev_T_curr[label] = turned if label in moved else world_motion
@@ -189,7 +188,7 @@ def make_scene(
 
 def _render(
     world: World, camera: Camera, rng: Rng, depth_noise: float, name: str
-) -> tuple[RgbdFrame, NDArray[np.int32], Array]:
+) -> tuple[RgbdFrame, LabelImage, Float64Array]:
     """The frame, and labels and exact depth (H * W,) of its pixel centres."""
     depth, labels, _ = world.cast(pixel_rays(camera))
     quarters = [world.shade(pixel_rays(camera, du, dv)) for du in (-0.25, 0.25) for dv in (-0.25, 0.25)]
@@ -202,7 +201,7 @@ def _render(
     return frame, labels, depth
 
 
-def _visible(world: World, camera: Camera, points: Array) -> NDArray[np.bool_]:
+def _visible(world: World, camera: Camera, points: Float64Array) -> BoolMask:
     """Whether points (N, 3) of the camera frame lie in the image with nothing before them, by casting rays at them."""
     z = points[:, 2]
     ok = np.isfinite(z) & (np.nan_to_num(z) > 0)
@@ -222,9 +221,9 @@ def _draw_layout(
     max_angle_deg: float,
     moving_share: float,
     *,
-    curr_T_prev_camera: Array,
+    curr_T_prev_camera: Float64Array,
     plane: Texture,
-    light: Array,
+    light: Float64Array,
 ) -> tuple[World, World, frozenset[int]]:
     """Both moments of a scene whose objects are well seen and apart in each; drawn anew until they are."""
     mover_count = min(count, max(1, round(moving_share * count))) if moving_share > 0 else 0
@@ -233,7 +232,7 @@ def _draw_layout(
         solids = [_draw_solid(rng) for _ in range(count)]
         moved = frozenset(int(k) + 1 for k in rng.permutation(count)[:mover_count])
         world_T_curr_camera = _draw_camera(rng)
-        placed: list[tuple[Array, Array]] = []
+        placed: list[tuple[Float64Array, Float64Array]] = []
         for label, solid in enumerate(solids, start=1):
             for _ in range(200):
                 a = _draw_rest(rng, solid)
@@ -256,7 +255,7 @@ def _draw_layout(
             return prev, curr, moved
 
 
-def _draw_camera(rng: Rng) -> Array:
+def _draw_camera(rng: Rng) -> Float64Array:
     """world_T_camera of a camera that looks down at the table's middle from 0.5-0.9 m."""
     elevation, azimuth = np.radians(rng.uniform(35, 65)), rng.uniform(0, 2 * np.pi)
     target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.03])
@@ -281,7 +280,7 @@ def _draw_solid(rng: Rng) -> Solid:
     return Solid(kind, size, draw_texture(rng, np.full(3, 48)))
 
 
-def _draw_rest(rng: Rng, solid: Solid) -> Array:
+def _draw_rest(rng: Rng, solid: Solid) -> Float64Array:
     """A pose on the plane: a box on a face, a sphere any way, a cylinder upright or lying."""
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix()
     if solid.kind == "sphere":
@@ -295,7 +294,9 @@ def _draw_rest(rng: Rng, solid: Solid) -> Array:
     return out
 
 
-def _move(rng: Rng, solid: Solid, pose: Array, motion: tuple[float, float], max_angle_deg: float) -> Array:
+def _move(
+    rng: Rng, solid: Solid, pose: Float64Array, motion: tuple[float, float], max_angle_deg: float
+) -> Float64Array:
     """A slide on the plane with a turn about the vertical; one in four is lifted and turned about any axis."""
     lifted = rng.random() < 0.25
     free = lifted or solid.kind == "sphere"
@@ -316,14 +317,14 @@ def _move(rng: Rng, solid: Solid, pose: Array, motion: tuple[float, float], max_
     return out
 
 
-def _reach(solid: Solid, rotation: Array, directions: Array) -> Array:
+def _reach(solid: Solid, rotation: Float64Array, directions: Float64Array) -> Float64Array:
     return solid.support(directions @ rotation)
 
 
 _AROUND = np.stack([np.cos(np.arange(72) * np.pi / 36), np.sin(np.arange(72) * np.pi / 36), np.zeros(72)], axis=1)
 
 
-def _apart(a: Solid, world_T_a: Array, b: Solid, world_T_b: Array, gap: float = 0.004) -> bool:
+def _apart(a: Solid, world_T_a: Float64Array, b: Solid, world_T_b: Float64Array, gap: float = 0.004) -> bool:
     """Whether a vertical plane with `gap` to spare lies between two solids (72 directions tried)."""
     between = _AROUND @ (world_T_b[:3, 3] - world_T_a[:3, 3])
     reach = _reach(a, world_T_a[:3, :3], _AROUND) + _reach(b, world_T_b[:3, :3], -_AROUND)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, IndexArray, Int64Array
+
 Rng = np.random.Generator
 
 TEXEL = 0.003
@@ -20,13 +20,13 @@ TEXEL = 0.003
 class Texture:
     """A texture that fills space: noise of several octaves between colours, crossed by stripes or a checker."""
 
-    noise: Array  # (n, n, n) or (n, n), values 0..1, periodic
-    colors: Array  # (3, 3) RGB 0..255: low noise, high noise, pattern
+    noise: Float64Array  # (n, n, n) or (n, n), values 0..1, periodic
+    colors: Float64Array  # (3, 3) RGB 0..255: low noise, high noise, pattern
     pattern: str
     period: float  # metres
-    direction: Array  # (3,) of the stripes
+    direction: Float64Array  # (3,) of the stripes
 
-    def at(self, points: Array) -> Array:
+    def at(self, points: Float64Array) -> Float64Array:
         """RGB (N, 3) at points (N, 3) metres in the frame of what carries the texture."""
         axes = self.noise.ndim
         value = ndimage.map_coordinates(self.noise, points[:, :axes].T / TEXEL, order=1, mode="grid-wrap")[:, None]
@@ -46,7 +46,7 @@ class Solid:
     """A convex solid about its own origin; `size` = half extents, (r, r, r), or (r, r, half height)."""
 
     kind: str
-    size: Array
+    size: Float64Array
     texture: Texture
 
     @property
@@ -56,7 +56,7 @@ class Solid:
             return float(np.linalg.norm(self.size))
         return float(self.size[0] if self.kind == "sphere" else np.hypot(self.size[0], self.size[2]))
 
-    def support(self, directions: Array) -> Array:
+    def support(self, directions: Float64Array) -> Float64Array:
         """(N,) furthest reach along unit directions (N, 3) of the object frame."""
         if self.kind == "box":
             return np.asarray(np.abs(directions) @ self.size)
@@ -65,7 +65,7 @@ class Solid:
         flat = np.linalg.norm(directions[:, :2], axis=1)
         return np.asarray(flat * self.size[0] + np.abs(directions[:, 2]) * self.size[2])
 
-    def hit(self, origin: Array, rays: Array) -> tuple[Array, Array]:
+    def hit(self, origin: Float64Array, rays: Float64Array) -> tuple[Float64Array, Float64Array]:
         """First hits of `origin + t * rays` (N, 3): t (N,), inf for none, and outward normals (N, 3)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.kind == "box":
@@ -87,7 +87,9 @@ class Solid:
         return np.where(ok, near, np.inf), normal
 
 
-def _slabs(origin: Array, rays: Array, size: Array, axes: range) -> tuple[Array, Array, NDArray[np.intp]]:
+def _slabs(
+    origin: Float64Array, rays: Float64Array, size: Float64Array, axes: range
+) -> tuple[Float64Array, Float64Array, IndexArray]:
     """Entry, exit and entering axis of rays through the slabs `|p_axis| < size_axis`."""
     a, b = list(axes), rays[:, list(axes)]
     t0, t1 = (-size[a] - origin[a]) / b, (size[a] - origin[a]) / b
@@ -96,14 +98,14 @@ def _slabs(origin: Array, rays: Array, size: Array, axes: range) -> tuple[Array,
     return nears.max(1), np.maximum(t0, t1).min(1), best + axes.start
 
 
-def _quadric(origin: Array, rays: Array, radius: float) -> tuple[Array, Array]:
+def _quadric(origin: Float64Array, rays: Float64Array, radius: float) -> tuple[Float64Array, Float64Array]:
     """Entry and exit of rays through a ball (3 columns) or an endless cylinder (2 columns)."""
     a, b = (rays**2).sum(1), rays @ origin
     root = np.sqrt(b * b - a * (origin @ origin - radius**2))
     return (-b - root) / a, (-b + root) / a
 
 
-def draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> Texture:
+def draw_texture(rng: Rng, cells: Int64Array, *, plane: bool = False) -> Texture:
     """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
     noise = np.zeros(tuple(cells))
     for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
@@ -125,5 +127,5 @@ def draw_texture(rng: Rng, cells: NDArray[np.int64], *, plane: bool = False) -> 
     return Texture(value, np.stack([dark, bright, accent]), pattern, period, direction)
 
 
-def unit(vector: Any) -> Array:
+def unit(vector: Any) -> Float64Array:
     return np.asarray(vector / np.linalg.norm(vector), dtype=np.float64)

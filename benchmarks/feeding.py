@@ -22,7 +22,7 @@ from objectflow.dataset.batches import Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import make_targets
 from objectflow.networks import NetworkSettings, SceneFlowNet
-from objectflow.training.sceneflownet_losses import compute_losses
+from objectflow.training.sceneflownet_losses import sceneflownet_losses
 
 T = TypeVar("T")
 
@@ -83,7 +83,7 @@ def measure(size: tuple[int, int], settings: Settings) -> dict[str, float]:
         points = inputs.exact_points
         targets = clock("targets", lambda batch=batch, p=points: make_targets(batch.table, batch.curr_labels, p))
         output = clock(f"network x {settings.width:g}, forward", lambda inputs=inputs: network(*inputs[:4]))
-        loss = clock("losses", lambda o=output, t=targets, p=points: compute_losses(o, t, p)["total"])
+        loss = clock("losses", lambda o=output, t=targets, p=points: sceneflownet_losses(o, t, p)["total"])
         clock("backward", loss.backward)
         if step == 0:
             spent.clear()

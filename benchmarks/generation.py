@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from objectflow.runtime.pool import InProcess, Processes
-from objectflow.synth.generation.paper_maker import Scenes
+from objectflow.synth.generation.paper_maker import PaperScenes
 from objectflow.synth.generation.tasks import Maker, SceneRows, Task
 from objectflow.synth.scenes.paper_scene import SceneSettings
 
@@ -59,7 +59,7 @@ class Settings:
 class CountingCpu:
     """A factory whose makers also say how many seconds of CPU a scene took."""
 
-    factory: Scenes
+    factory: PaperScenes
 
     def __call__(self) -> Maker:
         """The maker that counts."""
@@ -77,8 +77,8 @@ def tasks(first: int, count: int) -> Iterator[Task]:
     return (Task("pairs", scene) for scene in range(first, first + count))
 
 
-def make_factory(settings: Settings, samples: int, views: int, size: tuple[int, int] = (320, 240)) -> Scenes:
-    return Scenes(
+def make_factory(settings: Settings, samples: int, views: int, size: tuple[int, int] = (320, 240)) -> PaperScenes:
+    return PaperScenes(
         seed=settings.seed,
         split="train",
         settings=SceneSettings(lights=settings.lights, width=size[0], height=size[1]),

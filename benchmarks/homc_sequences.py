@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -23,6 +22,7 @@ from objectflow.dataset.shards import open_sequences
 from objectflow.evaluation.metrics.segmentation_metrics import SegmentationScore, score_segmentation
 from objectflow.methods.baselines.homc.densify import densify
 from objectflow.methods.baselines.homc.estimator import Homc, Segmentation, lab_image, pixel_index
+from objectflow.typing import LabelImage, UInt8Array
 
 PREV_FRAME, CURR_FRAME = 20, 80
 
@@ -75,7 +75,7 @@ def main(settings: Settings) -> None:
 
 def segment(
     sequence: list[SequenceRow], method: Homc, pair: bool
-) -> tuple[Segmentation, NDArray[np.int32], NDArray[np.uint8], float]:
+) -> tuple[Segmentation, LabelImage, UInt8Array, float]:
     """Labelled tracks, the truth and colour of frame 80, and CPU seconds."""
     numbers = [row.frame for row in sequence]
     prev, curr = numbers.index(PREV_FRAME), numbers.index(CURR_FRAME)

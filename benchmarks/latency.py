@@ -101,18 +101,18 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
     from objectflow.methods import find_weights
     from objectflow.methods.labels import rigid_flow
     from objectflow.methods.sceneflownet import decoding
-    from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet
+    from objectflow.networks import NetworkSettings, SceneFlowNet, SceneFlowNetOutput
     from objectflow.networks.weights import save_weights
     from true_maps import Truth
 
     class ThenTruth(torch.nn.Module):
         """Works as the network does, and then says something else."""
 
-        def __init__(self, network: torch.nn.Module, maps: DenseMotion) -> None:
+        def __init__(self, network: torch.nn.Module, maps: SceneFlowNetOutput) -> None:
             super().__init__()
             self.network, self.maps = network, maps
 
-        def forward(self, *images: torch.Tensor) -> DenseMotion:
+        def forward(self, *images: torch.Tensor) -> SceneFlowNetOutput:
             self.network(*images)
             return self.maps
 
@@ -141,7 +141,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
             field: getattr(true, field) + settings.noise * torch.randn(true.center.shape, generator=generator)
             for field in ("center", "translation", "rotation")
         }
-        maps = DenseMotion(*(one.to(settings.device) for one in true._replace(**noisy)))
+        maps = SceneFlowNetOutput(*(one.to(settings.device) for one in true._replace(**noisy)))
         object.__setattr__(estimator, "network", network)
         points = geometry.back_project(curr.depth, curr.camera)
         parts = [
@@ -160,7 +160,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats, time.process_time))  # noqa: B023
         parts.append(
             fastest(
-                lambda: refine_objects.refine_objects(frame_pair.Readied(prev, curr), labels, objects),  # noqa: B023
+                lambda: refine_objects.refine_objects(frame_pair.FramePair(prev, curr), labels, objects),  # noqa: B023
                 settings.repeats,
             )
         )

@@ -25,17 +25,17 @@ from typing import TypeVar
 import cv2
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from objectflow.evaluation.methods import parse_methods
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.live import Latest, follow, replay
+from objectflow.live import NewestFrame, follow, replay
 from objectflow.methods.base import Estimator
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.tracker import Tracker, TrackerSettings
+from objectflow.typing import Int64Array, UInt8Array
 
 RATE = 30.0
 TRUTH = "truth"
@@ -89,7 +89,7 @@ class Recording:
         """Seconds."""
         return index / RATE
 
-    def corners(self, index: int) -> NDArray[np.int64]:
+    def corners(self, index: int) -> Int64Array:
         """(plates, 2) the first row and column of each plate, whole pixels."""
         angles = 2 * np.pi * (index / RATE / ROUND + np.arange(len(PLACES)) / 7)
         where = np.array(PLACES) + CIRCLE * np.stack([np.cos(angles), np.sin(angles)], axis=1) - SIDE / 2
@@ -123,7 +123,7 @@ class Recording:
         return SceneMotion(labels, flow, tuple(objects))
 
 
-def texture(rng: np.random.Generator, height: int, width: int) -> NDArray[np.uint8]:
+def texture(rng: np.random.Generator, height: int, width: int) -> UInt8Array:
     """Smooth noise in colour, as matching needs it."""
     noise = cv2.GaussianBlur(rng.normal(size=(height, width, 3)), (0, 0), 1.5)
     return np.clip(128 + 60 * noise / noise.std(), 0, 255).astype(np.uint8)
@@ -140,7 +140,7 @@ def measure_latency(method: str, width: int, seconds: float, min_gap: float) -> 
     estimator, tracker = make(method, recording), Tracker(TrackerSettings(history=2))
     estimator(recording[0], recording[9])  # what is loaded or compiled once
     latencies, dropped, began = [], 0, time.process_time()
-    with Latest(replay(recording)) as latest:
+    with NewestFrame(replay(recording)) as latest:
         for step in follow(latest, estimator, tracker, min_gap=min_gap):
             latencies.append(step.latency)
             dropped += step.dropped
@@ -161,7 +161,7 @@ def measure_memory(method: str, width: int, count: int) -> tuple[list[float], in
                 turn.release()
 
     used, began, estimates = [], time.process_time(), 0
-    with Latest(one_by_one()) as latest:
+    with NewestFrame(one_by_one()) as latest:
         for estimates, _ in enumerate(follow(latest, estimator, tracker), start=1):
             if estimates % max(1, count // MARKS) == 0 or estimates == 1:
                 used.append(memory())

@@ -24,7 +24,7 @@ from objectflow.dataset.augment import AugmentSettings, Inputs, network_inputs
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
-from objectflow.networks import DenseMotion, SceneFlowNet, scene_flow
+from objectflow.networks import SceneFlowNet, SceneFlowNetOutput, scene_flow
 from objectflow.training.adapters import losses_of
 from objectflow.training.recipe import RECIPES
 from objectflow.training.setup import build_optimizer
@@ -139,7 +139,7 @@ def observe(batch: Batch, generator: torch.Generator) -> tuple[Inputs, Targets]:
 
 def outputs(
     network: SceneFlowNet, held: list[Batch], settings: Settings
-) -> Iterator[tuple[DenseMotion, Inputs, Targets]]:
+) -> Iterator[tuple[SceneFlowNetOutput, Inputs, Targets]]:
     network.eval()
     generator = torch.Generator(settings.device).manual_seed(0)
     for batch in held:

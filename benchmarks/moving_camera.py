@@ -11,7 +11,6 @@ import dataclasses
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -19,10 +18,9 @@ from scipy.spatial.transform import Rotation
 import analytic
 import objectflow
 from objectflow import geometry
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.methods.moving_camera import MovingCamera, find_camera_motion
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float32Array, Float64Array
 
 
 @dataclasses.dataclass
@@ -63,7 +61,7 @@ def main(settings: Settings) -> None:
     console.print(f"camera motion: median error {1000 * np.median(shift):.2f} mm, {np.median(turn):.3f} deg")
 
 
-def draw_motion(seed: int) -> Array:
+def draw_motion(seed: int) -> Float64Array:
     """A camera motion of 1-5 degrees and 1-5 cm in any direction."""
     rng = np.random.default_rng(seed)
     axis, way = rng.normal(size=3), rng.normal(size=3)
@@ -73,15 +71,15 @@ def draw_motion(seed: int) -> Array:
     return out
 
 
-def error(flow: NDArray[np.float32], pair: analytic.AnalyticPair) -> float:
+def error(flow: Float32Array, pair: analytic.AnalyticPair) -> float:
     """Mean error in metres on the objects that moved."""
     mask = np.isin(pair.labels, sorted(pair.moving)) & np.isfinite(flow[..., 0])
     return float(np.linalg.norm(flow[mask] - pair.scene_flow[mask], axis=-1).mean())
 
 
-def camera_error(pair: analytic.AnalyticPair, motion: Array) -> tuple[float, float]:
+def camera_error(pair: analytic.AnalyticPair, motion: Float64Array) -> tuple[float, float]:
     """Metres and degrees between the camera's motion as found and as it was."""
-    found = find_camera_motion(Readied(pair.prev, pair.curr), camera="moving")
+    found = find_camera_motion(FramePair(pair.prev, pair.curr), camera="moving")
     off = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
     return float(np.linalg.norm(off[:3, 3])), float(np.degrees(geometry.rotation_angle(off[:3, :3])))
 

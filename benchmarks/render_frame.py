@@ -19,11 +19,11 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from objectflow.typing import Float64Array
 from timing import time_each
 
 
@@ -45,7 +45,7 @@ class Settings:
     """Of the ray-traced renderer: cpu (one core) or cuda."""
 
 
-Scene = tuple[Any, NDArray[np.float64], NDArray[np.float64]]
+Scene = tuple[Any, Float64Array, Float64Array]
 
 
 def make_scenes(settings: Settings) -> list[Scene]:

@@ -21,7 +21,7 @@ from rich.table import Table
 from objectflow import Camera, ObjectMotion, RgbdFrame, SceneMotion, geometry
 from objectflow.evaluation.cache import encode, read_prediction
 from objectflow.evaluation.data.sources import open_set
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
 from objectflow.evaluation.methods import parse_methods
 from objectflow.evaluation.metrics.flow_metrics import score_flow
 from objectflow.evaluation.metrics.object_metrics import score_objects
@@ -64,7 +64,7 @@ def make_pair(width: int, objects: int, rng: np.random.Generator) -> tuple[Scene
         TrueObject(k + 1, np.array([0, 0, 0.9]), T, np.array(axes[k % 2][0]).reshape(-1, 3), axes[k % 2][1], True)
         for k, T in enumerate(motions)
     ]
-    truth = make_truth("pair", frame, labels, true)
+    truth = make_pair_truth("pair", frame, labels, true)
     guess = np.roll(labels, rng.integers(-4, 5, size=2), axis=(0, 1))
     noise = rng.normal(0, 0.02, size=(height, width, 3)).astype(np.float32)
     found = tuple(

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -25,8 +24,8 @@ from objectflow.evaluation.methods import parse_methods
 from objectflow.methods.base import Estimator
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.tracker import Tracker
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
-Array = NDArray[np.float64]
 ORACLE = "oracle"
 FRAME_RATE = 60.0
 MIN_IOU = 0.5
@@ -108,7 +107,7 @@ def true_motion(prev: SequenceRow, curr: SequenceRow) -> SceneMotion:
     return SceneMotion(labels, np.zeros((*labels.shape, 3), np.float32), tuple(objects))
 
 
-def moved(translation: Array) -> bool:
+def moved(translation: Float64Array) -> bool:
     """Whether an object moved by more than half a centimetre between two frames."""
     return bool(np.linalg.norm(translation) > 0.005)
 
@@ -117,7 +116,7 @@ def add_sequence(score: Score, frames: Sequence[SequenceRow], found: Iterator[Sc
     """Link one sequence's motions and compare with the truth."""
     tracker = Tracker()
     last: dict[int, int] = {}
-    starts: dict[tuple[int, int], tuple[Array, Array]] = {}
+    starts: dict[tuple[int, int], tuple[Float64Array, Float64Array]] = {}
     for (prev, curr), motion in zip(itertools.pairwise(frames), found, strict=True):
         links = tracker.update(prev.frame / FRAME_RATE, curr.image, curr.frame / FRAME_RATE, motion)
         tracks = {track.id: track for track in tracker.tracks}
@@ -143,7 +142,7 @@ def add_sequence(score: Score, frames: Sequence[SequenceRow], found: Iterator[Sc
     score.tracks += len(tracker.tracks)
 
 
-def best_match(mask: NDArray[np.bool_], labels: NDArray[np.int32], links: dict[int, int]) -> int | None:
+def best_match(mask: BoolMask, labels: LabelImage, links: dict[int, int]) -> int | None:
     """The track whose object covers a true mask best, if it does by half."""
     best, number = MIN_IOU, None
     for label in np.unique(labels[mask]).tolist():

@@ -26,7 +26,7 @@ from objectflow.dataset.batches import CACHE_BYTES, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.runtime.devices import find_device
 from objectflow.training.adapters import losses_of, trained_form
-from objectflow.training.ema import AveragedWeights
+from objectflow.training.ema import ExponentialMovingAverage
 from objectflow.training.parallel import Process
 from objectflow.training.prefetch import on_device
 from objectflow.training.recipe import RECIPES, Recipe, find_recipe
@@ -60,7 +60,7 @@ def measure(
     alone = Process(0, 1, device)
     network = build_network(recipe, alone, backbone=None, start=None)
     optimizer = build_optimizer(recipe, network, device)
-    mean = AveragedWeights(network, recipe.ema_decay) if recipe.ema_decay else None
+    mean = ExponentialMovingAverage(network, recipe.ema_decay) if recipe.ema_decay else None
     feed = on_device(batches.iterate(), device)
     trial = prepare(next(feed), recipe, step_generator(0, 0, 0, device))
     forward = compiled(trained_form(network), recipe, trial.images, device, print)

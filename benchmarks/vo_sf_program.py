@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 import objectflow
 from objectflow import Camera, RgbdFrame, geometry
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 PAIRS = ("robot", "person_standing")
@@ -37,9 +37,9 @@ class Settings:
 class Output:
     """What the program returns: flow (240, 320, 3) m, which pixels move (240, 320), and its frame 0 from frame 1."""
 
-    flow: NDArray[np.float32]
-    moves: NDArray[np.bool_]
-    camera: NDArray[np.float64]
+    flow: Float32Array
+    moves: BoolMask
+    camera: Float64Array
 
 
 def read_pair(folder: Path) -> tuple[RgbdFrame, RgbdFrame]:

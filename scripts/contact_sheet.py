@@ -8,13 +8,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from tyro.conf import Positional
 
 from objectflow.dataset.moving_objects import moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.show import label_color
+from objectflow.typing import LabelImage, UInt8Array
 
 
 @dataclasses.dataclass
@@ -37,7 +37,7 @@ class Settings:
     """Outline what moves: in the previous frame where it was, in the current one where it is."""
 
 
-def outline(picture: NDArray[np.uint8], labels: NDArray[np.int32], row: PairRow) -> NDArray[np.uint8]:
+def outline(picture: UInt8Array, labels: LabelImage, row: PairRow) -> UInt8Array:
     """The picture with a line around every object that moves; a white square in the corner where the camera does."""
     picture = np.ascontiguousarray(picture)
     size = (picture.shape[1], picture.shape[0])

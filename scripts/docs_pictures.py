@@ -11,10 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 import objectflow as of
 from objectflow.readers import open_pair
+from objectflow.typing import UInt8Array
 from objectflow.view import draw_overlay
 
 TILES = {
@@ -33,7 +33,7 @@ COLUMNS, WIDTH, STRIP = 3, 400, 30
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "wrong_pairs.jpg"
 
 
-def tile(folder: Path, title: str) -> NDArray[np.uint8]:
+def tile(folder: Path, title: str) -> UInt8Array:
     """The overlay of one pair below its title, BGR."""
     prev, curr = open_pair(folder)
     motion = of.load("consensus")(prev, curr)

@@ -11,16 +11,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 from tyro.conf import Positional
 
 from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.methods import parse_methods
+from objectflow.typing import UInt8Array
 from objectflow.view import canvas
 from objectflow.view.colors import INK
 from objectflow.view.overlay import draw_overlay
 
-Picture = NDArray[np.uint8]
 GAP, HEAD = 6, 26
 """Pixels between pictures, and of the line with the columns' names."""
 
@@ -61,14 +60,14 @@ def main(settings: Settings) -> None:
     cv2.imwrite(str(settings.out), cv2.cvtColor(np.vstack(lines), cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 
-def _row(tiles: list[Picture], width: int) -> Picture:
+def _row(tiles: list[UInt8Array], width: int) -> UInt8Array:
     height = round(width * tiles[0].shape[0] / tiles[0].shape[1])
     small = [cv2.resize(tile, (width, height), interpolation=cv2.INTER_AREA) for tile in tiles]
     framed = [cv2.copyMakeBorder(t, 0, GAP, 0, GAP, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for t in small]
     return np.asarray(np.hstack(framed), dtype=np.uint8)
 
 
-def _header(names: list[str], width: int) -> Picture:
+def _header(names: list[str], width: int) -> UInt8Array:
     head = np.full((HEAD, len(names) * (width + GAP), 3), 255, np.uint8)
     for place, name in enumerate(names):
         canvas.write(head, name, place * (width + GAP) + 4, HEAD - 8, 16, INK, bold=True)

@@ -21,8 +21,8 @@ from objectflow.dataset.shards import open_pairs, write_shard
 from objectflow.evaluation.data.sources import TINY_FOLDER
 from objectflow.runtime.pool import InProcess
 from objectflow.storage.files import hash_file
-from objectflow.synth.generation.generate import Job, generate
-from objectflow.synth.generation.paper_maker import Scenes
+from objectflow.synth.generation.generate import GenerationJob, generate
+from objectflow.synth.generation.paper_maker import PaperScenes
 from objectflow.synth.scenes.paper_scene import SceneSettings
 
 SPLIT = "test"
@@ -48,9 +48,9 @@ def main(settings: Settings) -> None:
     """Generate beside, pack, replace."""
     scene = SceneSettings(objects=settings.objects)
     recorded = {"preset": "tiny", "samples": 4, "objects": list(settings.objects)}
-    pool = InProcess(Scenes(seed=settings.seed, split=SPLIT, settings=scene))
+    pool = InProcess(PaperScenes(seed=settings.seed, split=SPLIT, settings=scene))
     with tempfile.TemporaryDirectory() as folder:
-        job = Job("pairs", SPLIT, settings.pairs, 1)
+        job = GenerationJob("pairs", SPLIT, settings.pairs, 1)
         made = generate(Path(folder) / "set", [job], pool, seed=settings.seed, settings=recorded)
         pool.close()
         if made is None:

@@ -26,7 +26,7 @@ from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs, write_shard
 from objectflow.storage import files
 from objectflow.training.callbacks import Terminal
-from objectflow.training.loop import Job, train
+from objectflow.training.loop import TrainJob, train
 from objectflow.training.recipe import RECIPES
 from objectflow.training.validation import Validation
 
@@ -107,7 +107,7 @@ def run() -> int:
         seed=arguments.seed,
     )
     watcher = Watcher()
-    job = Job("overfit", recipe, data, arguments.out / "run", resume=True, device="cpu", validate_on="train")
+    job = TrainJob("overfit", recipe, data, arguments.out / "run", resume=True, device="cpu", validate_on="train")
     train(job, watcher)
     print("reached" if watcher.reached else "not reached")
     return 0 if watcher.reached else 1

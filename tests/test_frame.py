@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.errors import CameraError, FrameError, ReaderError
 from objectflow.frame import check_pair
+from objectflow.typing import Float64Array
 
 CAMERA = Camera(width=16, height=12, fx=20.0, fy=21.0, cx=7.0, cy=5.0)
 VALUES = CAMERA.to_dict()
@@ -64,7 +65,7 @@ def test_a_camera_that_cannot_be_is_refused(changes: dict[str, Any], message: st
         Camera(**(VALUES | changes))
 
 
-def points_in_view(count: int = 50) -> NDArray[np.float64]:
+def points_in_view(count: int = 50) -> Float64Array:
     rng = np.random.default_rng(2)
     pixels, z = rng.uniform([0, 0], [15, 11], (count, 2)), rng.uniform(0.5, 2, count)
     return np.stack([(pixels[:, 0] - 7) / 20 * z, (pixels[:, 1] - 5) / 21 * z, z], axis=-1)
@@ -174,7 +175,7 @@ def test_valid_is_where_depth_was_measured() -> None:
     assert np.argwhere(~frame(depth=depth).valid).tolist() == [[2, 3]]
 
 
-def changed(value: float) -> NDArray[np.float64]:
+def changed(value: float) -> Float64Array:
     depth = DEPTH.astype(np.float64)
     depth[1, 2] = value
     return depth

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from objectflow import Camera, ObjectMotion, RgbdFrame, SceneMotion
 from objectflow.errors import ObjectflowError
+from objectflow.typing import Float64Array
 
 CAMERA = Camera(width=8, height=6, fx=9.0, fy=9.0, cx=3.5, cy=2.5)
 COLOR = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
@@ -98,7 +99,7 @@ def test_camera_files_of_random_and_damaged_bytes(tmp_path: Path, content: bytes
 
 @given(hnp.arrays(np.float64, (6, 8), elements=st.floats() | st.floats(0.1, 9)), st.sampled_from("efdg"))
 @fuzz
-def test_frames_of_random_depth_of_every_float(depth: NDArray[np.float64], kind: str) -> None:
+def test_frames_of_random_depth_of_every_float(depth: Float64Array, kind: str) -> None:
     with np.errstate(all="ignore"):
         values = depth.astype(kind)
     frame = only_ours(lambda: RgbdFrame(color=COLOR, depth=values, camera=CAMERA))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from objectflow.errors import FrameError
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.storage.images import read_color, read_depth
+from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 MAX_MEDIAN_DEPTH = 50.0
 """Metres. No depth camera sees further than this in half of its pixels; a wrong scale does."""
@@ -37,8 +38,8 @@ class RgbdFrame:
             finite, or in millimetres; a camera of another size.
     """
 
-    color: NDArray[np.uint8]
-    depth: NDArray[np.float32]
+    color: UInt8Array
+    depth: Float32Array
     camera: Camera
     timestamp: float | None = None
     name: str = field(default="frame")
@@ -97,7 +98,7 @@ class RgbdFrame:
         return cls(color=color_image, depth=metres, camera=camera, timestamp=timestamp, name=str(depth))
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolMask:
         """(H, W) bool: where depth was measured."""
         return self.depth > 0
 
@@ -124,7 +125,7 @@ class RgbdFrame:
             name=self.name,
         )
 
-    def narrowed(self, width: int) -> RgbdFrame:
+    def downscaled_to_width(self, width: int) -> RgbdFrame:
         """The frame at `width` pixels and its own proportions; itself if it is no wider."""
         if self.camera.width <= width:
             return self

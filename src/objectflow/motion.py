@@ -10,12 +10,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import ReaderError, ResultError
 from objectflow.storage import files
 from objectflow.storage.images import read_image
+from objectflow.typing import Float32Array, Float64Array, LabelImage
 
 # What broken JSON and .npy files make their parsers raise: numbers without end, brackets that never close, a header
 # that is no Python or asks for more memory than there is.
@@ -50,16 +50,16 @@ class ObjectMotion:
     pixels: int
     score: float
     moving: bool
-    center: NDArray[np.float64]
-    prev_T_curr: NDArray[np.float64]
+    center: Float64Array
+    prev_T_curr: Float64Array
 
     @property
-    def rotation_vector(self) -> NDArray[np.float64]:
+    def rotation_vector(self) -> Float64Array:
         """(3,) axis-angle in radians of the rotation part of `prev_T_curr`."""
         return geometry.so3_log(self.prev_T_curr[:3, :3])
 
     @property
-    def translation(self) -> NDArray[np.float64]:
+    def translation(self) -> Float64Array:
         """(3,) metres: displacement of the centre, T of the paper: `P_prev = R (P_curr - X) + X + T`."""
         return geometry.transform(self.prev_T_curr, self.center) - self.center
 
@@ -93,10 +93,10 @@ class SceneMotion:
         ResultError: arrays that do not fit together, or labels without an object.
     """
 
-    labels: NDArray[np.int32]
-    scene_flow: NDArray[np.float32]
+    labels: LabelImage
+    scene_flow: Float32Array
     objects: tuple[ObjectMotion, ...] = ()
-    camera_motion: NDArray[np.float64] | None = None
+    camera_motion: Float64Array | None = None
     method: str = ""
     seconds: float = field(default=0.0)
 

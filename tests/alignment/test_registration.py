@@ -8,14 +8,14 @@ import pytest
 import analytic
 from objectflow import Camera, geometry
 from objectflow.alignment import fitting, registration
-from objectflow.alignment.matching import Matches
+from objectflow.alignment.matching import PixelMatches
 
 CAMERA = Camera(width=320, height=240, fx=236.46, fy=236.46, cx=159.5, cy=119.5)
 
 
-def matches_of(points: np.ndarray, prev_T_curr: np.ndarray, noise: np.ndarray) -> Matches:
+def matches_of(points: np.ndarray, prev_T_curr: np.ndarray, noise: np.ndarray) -> PixelMatches:
     prev = geometry.transform(prev_T_curr, points) + noise
-    return Matches(
+    return PixelMatches(
         geometry.project(points, CAMERA).astype(np.float32), points.astype(np.float32), prev.astype(np.float32)
     )
 
@@ -43,7 +43,7 @@ def test_fit_is_exact_on_three_exact_matches() -> None:
 @pytest.mark.parametrize("seed", [1, 6, 12])
 def test_refinement_brings_a_rough_start_to_the_truth(seed: int) -> None:
     pair = analytic.make_scene(seed)
-    target = registration.Target(pair.prev)
+    target = registration.RegistrationTarget(pair.prev)
     rng = np.random.default_rng(seed)
     before, after = [], []
     for label in sorted(pair.moving):
@@ -57,7 +57,7 @@ def test_refinement_brings_a_rough_start_to_the_truth(seed: int) -> None:
         refined = registration.refine(target, registration.make_source(pair.curr, pair.labels == label), start)
         for errors, found in ((before, start), (after, refined.prev_T_curr)):
             errors.append(np.linalg.norm(geometry.transform(found, center) - geometry.transform(true, center)))
-        assert refined.explained > 0.8
+        assert refined.fitness > 0.8
     assert before
     assert np.median(after) < 0.25 * np.median(before)
     assert np.median(after) < 0.0015
@@ -67,6 +67,6 @@ def test_refinement_without_points_returns_its_start() -> None:
     pair = analytic.make_scene(3)
     start = geometry.se3_exp([0.01, 0, 0, 0, 0, 0])
     nothing = registration.make_source(pair.curr, np.zeros(pair.labels.shape, bool))
-    refined = registration.refine(registration.Target(pair.prev), nothing, start)
+    refined = registration.refine(registration.RegistrationTarget(pair.prev), nothing, start)
     np.testing.assert_array_equal(refined.prev_T_curr, start)
-    assert refined.explained == 0
+    assert refined.fitness == 0

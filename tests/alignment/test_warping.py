@@ -14,18 +14,19 @@ import analytic
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.alignment.warping import splat, warp_previous
 from objectflow.errors import GeometryError
+from objectflow.typing import BoolMask, Float32Array, LabelImage
 
 CAMERA = Camera(width=8, height=6, fx=10.0, fy=10.0, cx=3.0, cy=2.0)
 
 
 @cache
-def scene(seed: int) -> tuple[analytic.AnalyticPair, NDArray[np.float32]]:
+def scene(seed: int) -> tuple[analytic.AnalyticPair, Float32Array]:
     """A pair, and where the points of curr's pixels were in prev."""
     pair = analytic.make_scene(seed, objects=(3, 5))
     return pair, geometry.back_project(pair.curr.depth, pair.curr.camera) + pair.scene_flow
 
 
-def beside_edges(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+def beside_edges(labels: LabelImage) -> BoolMask:
     return np.asarray(ndimage.maximum_filter(labels, 5) != ndimage.minimum_filter(labels, 5))
 
 
@@ -65,7 +66,7 @@ def test_what_is_not_visible_is_zero() -> None:
     assert (warped.depth[warped.visible] > 0).all()
 
 
-def wall(depth: NDArray[np.float32] | None = None) -> RgbdFrame:
+def wall(depth: Float32Array | None = None) -> RgbdFrame:
     color = np.random.default_rng(0).integers(1, 256, (6, 8, 3), dtype=np.uint8)
     return RgbdFrame(color, np.ones((6, 8), np.float32) if depth is None else depth, CAMERA)
 

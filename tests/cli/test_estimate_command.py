@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from objectflow.cli import main
-from objectflow.cli.demo import Truth, flow_errors, match_object
+from objectflow.cli.demo import DemoTruth, flow_errors, match_object
 from objectflow.cli.output import RESULT_FILES
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import open_pair
@@ -78,7 +78,7 @@ def test_demo_compares_with_the_truth(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_the_truth_of_the_demo_explains_its_depth() -> None:
     """Points moved by the true motions must land on the measured surface of the previous frame."""
     prev, curr = open_pair(PAIR)
-    truth = Truth.read(PAIR / "truth.npz")
+    truth = DemoTruth.read(PAIR / "truth.npz")
     v, u = np.mgrid[:480, :640]
     points = np.stack([(u - 319.5) / 615, (v - 239.5) / 615, np.ones_like(u)], -1) * curr.depth[..., None]
     for index in range(len(truth.names)):
@@ -91,7 +91,7 @@ def test_the_truth_of_the_demo_explains_its_depth() -> None:
 
 def test_a_perfect_result_matches_the_demo_perfectly() -> None:
     _, curr = open_pair(PAIR)
-    truth = Truth.read(PAIR / "truth.npz")
+    truth = DemoTruth.read(PAIR / "truth.npz")
     objects = tuple(
         ObjectMotion(i + 1, int((truth.labels == i + 1).sum()), 1.0, bool(truth.moving[i]), center, motion)
         for i, (center, motion) in enumerate(zip(truth.centers, truth.prev_T_curr, strict=True))

@@ -13,7 +13,7 @@ import pytest
 
 from objectflow.cli import main
 from objectflow.view.viewer import NoViewer, open_viewer
-from objectflow.view.viewer_frames import Moment
+from objectflow.view.viewer_frames import ViewerFrame
 
 chunk = pytest.importorskip("rerun.chunk", reason="rerun is not installed (extra `view`)")
 
@@ -136,10 +136,10 @@ def test_view_opens_a_window_and_without_it_nothing_is_opened(
     verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[dict[str, object]] = []
-    shown: list[Moment] = []
+    shown: list[ViewerFrame] = []
 
     class Window(NoViewer):
-        def show(self, make: Callable[[], Iterable[Moment]]) -> None:
+        def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
             shown.extend(make())
 
     def remember(title: str, **options: object) -> NoViewer:

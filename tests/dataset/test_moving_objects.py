@@ -11,7 +11,7 @@ import pytest
 from helpers.small_sets import make_frame, write_set
 from objectflow import geometry
 from objectflow.dataset.batches import Batches
-from objectflow.dataset.moving_objects import keep_labels, moves, moving_labels, without_still
+from objectflow.dataset.moving_objects import has_moved, keep_labels, moving_labels, without_still
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs
@@ -30,12 +30,12 @@ def turned(degrees: float, shift: float = 0.0) -> np.ndarray:
 
 
 def test_a_motion_counts_from_two_millimetres_or_half_a_degree_against_the_world() -> None:
-    assert not moves(STILL, STILL, STILL)
-    assert [moves(turned(0, shift), STILL, STILL) for shift in (0.0019, 0.0021)] == [False, True]
-    assert [moves(turned(angle), STILL, STILL) for angle in (0.49, 0.51)] == [False, True]
+    assert not has_moved(STILL, STILL, STILL)
+    assert [has_moved(turned(0, shift), STILL, STILL) for shift in (0.0019, 0.0021)] == [False, True]
+    assert [has_moved(turned(angle), STILL, STILL) for angle in (0.49, 0.51)] == [False, True]
     camera, pose = turned(4, 0.03), turned(-20, 0.4)
-    assert not moves(camera @ pose, pose, camera)
-    assert moves(pose, pose, camera)  # what stays before a moving camera has moved in the world
+    assert not has_moved(camera @ pose, pose, camera)
+    assert has_moved(pose, pose, camera)  # what stays before a moving camera has moved in the world
 
 
 def test_without_a_camera_motion_every_object_counts() -> None:

@@ -17,7 +17,7 @@ from objectflow.errors import DatasetError, MethodError, ResultError
 from objectflow.evaluation.cache import read_prediction
 from objectflow.evaluation.data.sources import PairSet, open_set
 from objectflow.evaluation.methods import parse_methods
-from objectflow.evaluation.predict import Progress, predict
+from objectflow.evaluation.predict import PredictionProgress, predict
 from objectflow.evaluation.results import Evaluation
 from objectflow.evaluation.score import NOT_CACHED, CachedPairs, score
 from objectflow.frame import RgbdFrame
@@ -254,7 +254,7 @@ def test_ray_makes_the_same_predictions(data: PairSet, tmp_path: Path) -> None:
 
 
 def test_progress_and_settings(data: PairSet, tmp_path: Path) -> None:
-    said: list[Progress] = []
+    said: list[PredictionProgress] = []
     predict(data, data.keys, parse_methods(["moody:mood=bad"]), tmp_path, report=said.append)
     assert [(now.done, now.total, now.failed) for now in said] == [
         (0, 4, 0),

@@ -11,12 +11,12 @@ import pytest
 
 from objectflow import geometry
 from objectflow.errors import DatasetError
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
 from objectflow.evaluation.metrics.flow_metrics import FlowScore, PixelScore
 from objectflow.evaluation.metrics.object_metrics import ObjectError
 from objectflow.evaluation.metrics.pair_score import PairScore
 from objectflow.evaluation.metrics.region_scores import RegionScore, score_regions
-from objectflow.evaluation.metrics.segmentation_metrics import PRF, Match, SegmentationScore
+from objectflow.evaluation.metrics.segmentation_metrics import PRF, ObjectMatch, SegmentationScore
 from objectflow.evaluation.results import Evaluation, Failure, MethodResult, PairFacts, facts_of
 from objectflow.evaluation.tables.summary import summarise
 from objectflow.frame import RgbdFrame
@@ -38,7 +38,7 @@ def truth() -> PairTruth:
         TrueObject(1, center, moved, np.array([[0, 0, 1.0]]), (4,), in_both=True),
         TrueObject(2, center, np.eye(4), np.empty((0, 3)), (), in_both=False, rotation_known=False),
     ]
-    return make_truth("a", frame, labels, objects, scene="s")
+    return make_pair_truth("a", frame, labels, objects, scene="s")
 
 
 def test_facts_of_a_pair() -> None:
@@ -60,7 +60,7 @@ def test_regions_score_each_object_on_its_own_pixels() -> None:
     predicted = true.scene_flow.copy()
     predicted[1, 1, 0] += 0.04  # one of four pixels is 4 cm off: 1 cm on average
     predicted[4, 5:7] = np.nan
-    matched = score_regions(predicted, true, [Match(1, 7, 0.8)])[0]
+    matched = score_regions(predicted, true, [ObjectMatch(1, 7, 0.8)])[0]
     assert (matched.label, matched.f) == (1, 0.8)
     assert matched.epe_cm == pytest.approx(1, abs=1e-5)
     unmatched = score_regions(predicted, true, [])[1]
@@ -75,7 +75,7 @@ def evaluation() -> Evaluation:
         "a",
         "s",
         FlowScore(pixels, pixels, pixels),
-        SegmentationScore(form, form, form, form, 1, 2, 3, 4, 5, (Match(1, 2, 0.9),)),
+        SegmentationScore(form, form, form, form, 1, 2, 3, 4, 5, (ObjectMatch(1, 2, 0.9),)),
         (ObjectError(1, 0.9, NAN, 0.5, True),),
         0.25,
         (RegionScore(1, 0.9, NAN),),

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from objectflow import Camera, geometry
 from objectflow.errors import GeometryError
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 CAMERA = Camera(width=32, height=24, fx=40.0, fy=42.0, cx=15.0, cy=12.5)
 ANGLES = [0.0, 1e-300, 1e-16, 1e-12, 1e-8, 9e-5, 1.1e-4, 9e-3, 1.1e-2, 0.5, 2.0, np.pi - 1e-4, np.pi - 1e-9, np.pi]
@@ -27,14 +26,14 @@ vectors = st.tuples(lengths, lengths, lengths).map(np.array)
 seeds = st.integers(0, 2**32 - 1)
 
 
-def twist_matrix(twist: Array) -> Array:
+def twist_matrix(twist: Float64Array) -> Float64Array:
     out = np.zeros((4, 4))
     out[:3, 3] = twist[:3]
     out[:3, :3] = np.cross(np.eye(3), twist[3:])  # row i is e_i x w, which is hat(w) row by row
     return out
 
 
-def random_motion(rng: np.random.Generator) -> Array:
+def random_motion(rng: np.random.Generator) -> Float64Array:
     out = np.eye(4)
     out[:3, :3] = Rotation.random(rng=rng).as_matrix()
     out[:3, 3] = rng.normal(size=3)
@@ -75,7 +74,7 @@ def test_half_turns_about_the_axes_are_exact() -> None:
 
 @reproducible
 @given(vectors)
-def test_so3_exp_gives_rotations_whose_log_is_shortest(w: Array) -> None:
+def test_so3_exp_gives_rotations_whose_log_is_shortest(w: Float64Array) -> None:
     R = geometry.so3_exp(w)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(R) > 0
@@ -110,7 +109,7 @@ def test_se3_log_undoes_se3_exp(angle: float) -> None:
 
 @reproducible
 @given(vectors, vectors)
-def test_se3_exp_moves_points_by_a_rigid_motion_and_inverse_undoes_it(rho: Array, w: Array) -> None:
+def test_se3_exp_moves_points_by_a_rigid_motion_and_inverse_undoes_it(rho: Float64Array, w: Float64Array) -> None:
     T = geometry.se3_exp(np.concatenate([rho, w]))
     points = np.random.default_rng(3).normal(size=(4, 3))
     moved = geometry.transform(T, points)
@@ -197,7 +196,7 @@ def test_kabsch_fits_points_on_a_plane() -> None:
     ],
     ids=["none", "one", "two", "line", "coincident", "no weight", "two that count"],
 )
-def test_kabsch_reports_what_fixes_no_rotation(points: Array, weights: Array | None) -> None:
+def test_kabsch_reports_what_fixes_no_rotation(points: Float64Array, weights: Float64Array | None) -> None:
     T = random_motion(np.random.default_rng(10))
     seen = geometry.transform(T, points)
     found, determined = geometry.kabsch(points, seen, weights)
@@ -235,7 +234,9 @@ GOOD = np.random.default_rng(0).normal(size=(4, 3))
         (GOOD, np.full((4, 3), np.inf), None, "finite points"),
     ],
 )
-def test_kabsch_refuses_bad_input(curr: Array, prev: Array, weights: Array | None, message: str) -> None:
+def test_kabsch_refuses_bad_input(
+    curr: Float64Array, prev: Float64Array, weights: Float64Array | None, message: str
+) -> None:
     with pytest.raises(GeometryError, match=message):
         geometry.kabsch(curr, prev, weights)
 

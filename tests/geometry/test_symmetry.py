@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -19,8 +18,7 @@ from objectflow.synth.objects.model import ModelRef
 from objectflow.synth.objects.procedural import ProceduralLibrary
 from objectflow.synth.objects.shapes.groups import cube, dihedral, spin
 from objectflow.synth.objects.symmetry_detection import detect
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 FINITE = {
     **{f"C{n}": spin(n) for n in (2, 3, 4, 5, 6, 7, 12)},
@@ -30,7 +28,7 @@ FINITE = {
 rotations = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(random_state=seed).as_matrix())
 
 
-def elements(group: tuple[SymmetryAxis, ...]) -> list[Array]:
+def elements(group: tuple[SymmetryAxis, ...]) -> list[Float64Array]:
     """All turns about the axes of a group, without the identity's doubles."""
     turns = [np.eye(3)]
     for axis in group:
@@ -41,7 +39,7 @@ def elements(group: tuple[SymmetryAxis, ...]) -> list[Array]:
     return turns
 
 
-def angle(rotation: Array) -> float:
+def angle(rotation: Float64Array) -> float:
     return float(Rotation.from_matrix(rotation).magnitude())
 
 
@@ -56,7 +54,7 @@ def test_the_lists_of_axes_hold_the_whole_group(name: str, size: int) -> None:
 @pytest.mark.parametrize("name", FINITE)
 @settings(max_examples=40, deadline=None)
 @given(prev=rotations, curr=rotations)
-def test_a_finite_group_gives_its_smallest_rotation(name: str, prev: Array, curr: Array) -> None:
+def test_a_finite_group_gives_its_smallest_rotation(name: str, prev: Float64Array, curr: Float64Array) -> None:
     raw = prev @ curr.T
     reduced = reduce_motion(prev, curr, FINITE[name])
     choices = [prev @ g @ curr.T for g in elements(FINITE[name])]
@@ -70,7 +68,7 @@ def test_a_finite_group_gives_its_smallest_rotation(name: str, prev: Array, curr
 
 @settings(max_examples=60, deadline=None)
 @given(prev=rotations, curr=rotations)
-def test_a_continuous_axis_keeps_its_way_and_loses_its_twist(prev: Array, curr: Array) -> None:
+def test_a_continuous_axis_keeps_its_way_and_loses_its_twist(prev: Float64Array, curr: Float64Array) -> None:
     axis = np.array([0.0, 0.6, 0.8])
     reduced = reduce_motion(prev, curr, [SymmetryAxis((0.0, 0.6, 0.8), 0)])
     np.testing.assert_allclose(reduced @ curr @ axis, prev @ axis, atol=1e-9)
@@ -79,7 +77,7 @@ def test_a_continuous_axis_keeps_its_way_and_loses_its_twist(prev: Array, curr: 
 
 @settings(max_examples=60, deadline=None)
 @given(prev=rotations, curr=rotations)
-def test_a_cylinder_turns_by_at_most_a_right_angle(prev: Array, curr: Array) -> None:
+def test_a_cylinder_turns_by_at_most_a_right_angle(prev: Float64Array, curr: Float64Array) -> None:
     reduced = reduce_motion(prev, curr, dihedral(0))
     cosine = abs(curr[:, 2] @ prev[:, 2])
     assert abs((reduced @ curr[:, 2]) @ prev[:, 2]) == pytest.approx(1, abs=1e-9)

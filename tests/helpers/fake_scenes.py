@@ -16,7 +16,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.runtime.pool import InProcess, Processes
 from objectflow.synth.generation import generate as generating
-from objectflow.synth.generation.generate import Job, generate
+from objectflow.synth.generation.generate import GenerationJob, generate
 from objectflow.synth.generation.tasks import Maker, SceneRows, Task
 
 SETTINGS = {"preset": "fake", "size": [16, 12]}
@@ -70,7 +70,7 @@ def main(out: str, count: str, workers: str, delay: str) -> int:
     generating.ROWS_A_SHARD = 8
     factory = FakeScenes(delay=float(delay))
     pool = Processes(factory, int(workers)) if int(workers) > 1 else InProcess(factory)
-    jobs = [Job("pairs", "train", int(count), 1), Job("sequences", "train", 5, len(FRAMES))]
+    jobs = [GenerationJob("pairs", "train", int(count), 1), GenerationJob("sequences", "train", 5, len(FRAMES))]
     try:
         generate(Path(out), jobs, pool, seed=0, settings=SETTINGS)
     except ObjectflowError as error:

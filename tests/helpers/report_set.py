@@ -9,7 +9,7 @@ import numpy as np
 
 from analytic import make_scene
 from objectflow import geometry, load
-from objectflow.evaluation.data.truth import TrueObject, make_truth
+from objectflow.evaluation.data.truth import TrueObject, make_pair_truth
 from objectflow.evaluation.metrics.pair_score import PairScore, score_pair
 from objectflow.evaluation.results import Evaluation, EvaluationPair, Failure, MethodResult, facts_of
 from objectflow.evaluation.tables.summary import summarise
@@ -75,7 +75,7 @@ def make_pair(key: str, seed: int, size: tuple[int, int]) -> EvaluationPair:
         )
         for label in scene.prev_T_curr
     ]
-    truth = make_truth(key, scene.curr, scene.labels, objects, scene=f"scene-{seed}")
+    truth = make_pair_truth(key, scene.curr, scene.labels, objects, scene=f"scene-{seed}")
     return EvaluationPair(scene.prev, scene.curr, truth)
 
 

@@ -14,7 +14,7 @@ from helpers.pair_sets import random_pair, write_pairs
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.manifest import Manifest
 from objectflow.networks import NetworkSettings
-from objectflow.training.loop import Job, train
+from objectflow.training.loop import TrainJob, train
 from objectflow.training.recipe import Recipe
 
 NETWORK = NetworkSettings(
@@ -66,8 +66,8 @@ def write_set(folder: Path, *, pairs: int = 10) -> Path:
     return folder
 
 
-def job(data: Path, out: Path, recipe: Recipe = RECIPE, **changes: Any) -> Job:
-    return dataclasses.replace(Job("tiny", recipe, data, out, device="cpu"), **changes)
+def job(data: Path, out: Path, recipe: Recipe = RECIPE, **changes: Any) -> TrainJob:
+    return dataclasses.replace(TrainJob("tiny", recipe, data, out, device="cpu"), **changes)
 
 
 def tensors_of(run: Path) -> Mapping[str, torch.Tensor]:

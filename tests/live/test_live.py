@@ -15,7 +15,7 @@ from objectflow.cli import main
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.live import Latest, follow, replay
+from objectflow.live import NewestFrame, follow, replay
 from objectflow.motion import SceneMotion
 from objectflow.readers import FramePaths, FrameSequence
 from objectflow.tracking.tracker import Tracker, TrackerSettings
@@ -58,7 +58,7 @@ def test_a_method_that_is_too_slow_gets_the_newest_frame_and_the_rest_is_dropped
         given.set()
 
     estimator = Nothing()
-    with Latest(source()) as latest:
+    with NewestFrame(source()) as latest:
         steps = follow(latest, estimator, Tracker())
         # The first frame is taken before the second comes.
         threading.Timer(0.05, first.set).start()
@@ -83,7 +83,7 @@ def test_frames_that_are_too_close_in_time_are_not_compared() -> None:
             taken.acquire(timeout=0.2)
 
     estimator = Nothing()
-    with Latest(source()) as latest:
+    with NewestFrame(source()) as latest:
         for _ in follow(latest, estimator, Tracker(), min_gap=0.35):
             taken.release()
     assert all(b - a >= 0.35 for a, b in estimator.shown if a is not None and b is not None)
@@ -102,7 +102,7 @@ def test_a_recording_that_starts_again_starts_anew() -> None:
             turn.acquire(timeout=0.2)
 
     estimator = Nothing()
-    with Latest(source()) as latest:
+    with NewestFrame(source()) as latest:
         for _ in follow(latest, estimator, Tracker()):
             turn.release()
     assert estimator.shown == [(0.0, 1.0), (0.0, 1.0)]
@@ -113,7 +113,7 @@ def test_what_a_source_raises_reaches_the_one_who_takes() -> None:
         yield frame(0)
         raise ReaderError("the camera stopped")
 
-    with Latest(source()) as latest, pytest.raises(ReaderError, match="the camera stopped"):
+    with NewestFrame(source()) as latest, pytest.raises(ReaderError, match="the camera stopped"):
         latest.take(0, timeout=5)
 
 
@@ -130,7 +130,7 @@ def test_leaving_stops_the_source() -> None:
         finally:
             closed.set()
 
-    with Latest(source()) as latest:
+    with NewestFrame(source()) as latest:
         assert latest.take(timeout=5) is not None
     assert closed.wait(5)
 

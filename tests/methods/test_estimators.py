@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import analytic
 import objectflow
@@ -19,8 +18,7 @@ from objectflow.alignment import matching
 from objectflow.errors import FrameError, MethodError
 from objectflow.geometry import depth_noise
 from objectflow.methods import find_weights
-
-Floats = NDArray[np.float32]
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 
 @cache
@@ -44,7 +42,7 @@ def with_holes(frame: RgbdFrame) -> RgbdFrame:
     return dataclasses.replace(frame, depth=depth)
 
 
-def error(flow: Floats, truth: analytic.AnalyticPair, where: NDArray[np.bool_]) -> float:
+def error(flow: Float32Array, truth: analytic.AnalyticPair, where: BoolMask) -> float:
     return float(np.linalg.norm(flow[where] - truth.scene_flow[where], axis=-1).mean())
 
 
@@ -138,7 +136,7 @@ def test_dense_flow_of_a_pair_without_a_match_is_zero_where_depth_is() -> None:
 # --- correspondence ---
 
 
-def sample(depth: Floats, *pixels: Sequence[float]) -> tuple[list[float], list[bool]]:
+def sample(depth: Float32Array, *pixels: Sequence[float]) -> tuple[list[float], list[bool]]:
     values, ok = matching.sample_depth(depth, np.array(pixels, np.float32))
     return values.tolist(), ok.tolist()
 
@@ -183,7 +181,7 @@ def test_lifted_matches_are_the_back_projected_points() -> None:
     np.testing.assert_array_equal(halves.prev, matches.prev)
 
 
-def moved_picture(shift: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame, NDArray[np.float64]]:
+def moved_picture(shift: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame, Float64Array]:
     """A flat picture 1 m away that moved by whole pixels, as (prev, curr) and the shift in metres of curr to prev."""
     rng = np.random.default_rng(0)
     big = np.kron(rng.integers(0, 256, (40, 50, 3)), np.ones((4, 4, 1))).astype(np.uint8)

@@ -6,21 +6,21 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import analytic
 from objectflow import geometry
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import FrameError, MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.methods import moving_camera
 from objectflow.methods.baselines.dense_flow import DenseFlow
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import Float64Array
 
 
-def camera_motion(degrees: tuple[float, float, float], centimetres: tuple[float, float, float]) -> NDArray[np.float64]:
+def camera_motion(degrees: tuple[float, float, float], centimetres: tuple[float, float, float]) -> Float64Array:
     out = np.eye(4)
     out[:3, :3] = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
     out[:3, 3] = np.array(centimetres) / 100
@@ -125,15 +125,15 @@ def test_a_still_camera_is_left_alone() -> None:
 
 def test_what_was_made_ready_to_find_the_camera_is_handed_on() -> None:
     class Thrifty(Truth):
-        def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
-            self.ready = ready
+        def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
+            self.pair = pair
             return self(prev, curr)
 
     pair = analytic.make_scene(5)
     thrifty = Thrifty(pair)
     motion = moving_camera.MovingCamera(thrifty)(pair.prev, pair.curr)
-    assert {"matches", "target"} <= thrifty.ready.__dict__.keys()  # made, not to be made again
-    assert (thrifty.ready.prev, thrifty.ready.curr) == (pair.prev, pair.curr)
+    assert {"matches", "target"} <= thrifty.pair.__dict__.keys()  # made, not to be made again
+    assert (thrifty.pair.prev, thrifty.pair.curr) == (pair.prev, pair.curr)
     assert motion.seconds is not None
     assert motion.seconds > 0
 

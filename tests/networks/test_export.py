@@ -14,7 +14,7 @@ import torch
 from helpers.small_networks import TINY, save
 from objectflow.cli import main
 from objectflow.errors import MethodError, MissingExtraError, StorageError
-from objectflow.networks import DenseMotion, SceneFlowNet, export
+from objectflow.networks import SceneFlowNet, SceneFlowNetOutput, export
 from objectflow.networks.weights import save_weights
 
 onnx = pytest.importorskip("onnx")
@@ -38,7 +38,7 @@ def test_onnxruntime_says_what_torch_says(tmp_path: Path, changes: dict[str, Any
     path, made = tmp_path / "n.onnx", network(**changes).train()
     differences = export.export_onnx(path, made, size, {"variant": "one"})
     assert made.training
-    assert list(differences) == list(DenseMotion._fields)
+    assert list(differences) == list(SceneFlowNetOutput._fields)
     assert 0 < max(differences.values()) < 1e-5
     model = onnx.load(path)
     assert model.opset_import[0].version == 17
@@ -54,7 +54,7 @@ def test_onnxruntime_says_what_torch_says(tmp_path: Path, changes: dict[str, Any
     found = session.run(None, frames)
     with torch.no_grad():
         expected = made.eval()(*(torch.from_numpy(frames[name]) for name in export.INPUTS))
-    assert [one.name for one in session.get_outputs()] == list(DenseMotion._fields)
+    assert [one.name for one in session.get_outputs()] == list(SceneFlowNetOutput._fields)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one, other.numpy(), rtol=0, atol=1e-5 * float(other.abs().max()))
 

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from numpy.typing import NDArray
 
 from objectflow.errors import ObjectflowError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.camera import Camera
+from objectflow.typing import Float32Array
 
 CAMERA = Camera(width=4, height=3, fx=4.0, fy=4.0, cx=1.5, cy=1.0)
 dtypes = st.sampled_from([np.uint8, np.uint16, np.int32, np.float16, np.float32, np.float64, np.complex64, np.bool_])
@@ -39,7 +39,7 @@ def test_random_arrays(color: Any, depth: Any) -> None:
 
 @given(depth=hnp.arrays(np.float32, (3, 4), elements=st.floats(0.25, 20, width=32) | st.just(0.0)))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_good_depth_is_let_in_unchanged(depth: NDArray[np.float32]) -> None:
+def test_good_depth_is_let_in_unchanged(depth: Float32Array) -> None:
     depth[0, 0] = 1.0
     frame = RgbdFrame(color=np.zeros((3, 4, 3), np.uint8), depth=depth, camera=CAMERA)
     np.testing.assert_array_equal(frame.depth, depth)

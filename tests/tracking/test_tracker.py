@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow import geometry
@@ -19,18 +18,18 @@ from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.tracker import Tracker, TrackerSettings, footprint_overlap
 from objectflow.tracking.trajectory_files import tum_lines, write_tracks
+from objectflow.typing import Float64Array
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 HALF_PIXEL = 0.5 / 150
 """Metres at 1 m: how far the middle of a plate's pixels may be from its centre."""
-Array = NDArray[np.float64]
 
 
 def plates(
     centers: dict[int, tuple[float, float]],
     before: dict[int, tuple[float, float]],
     *,
-    camera_motion: Array | None = None,
+    camera_motion: Float64Array | None = None,
     order: tuple[int, ...] | None = None,
 ) -> tuple[RgbdFrame, SceneMotion, dict[int, int]]:
     """Square plates of 24 cm at 1 m before a wall at 2 m. Each has a number here, and another id in the frame.

@@ -7,9 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.training.curves import HEIGHT, WIDTH, Series, draw_curves, panel, write_curve
+from objectflow.typing import IndexArray, UInt8Array
 
 BLUE, RED = (31, 90, 180), (200, 50, 40)
 
@@ -28,7 +28,7 @@ def run_lines() -> list[dict[str, Any]]:
     return [*train, *validation]
 
 
-def rows_of(image: NDArray[np.uint8], color: tuple[int, int, int], column: int) -> NDArray[np.intp]:
+def rows_of(image: UInt8Array, color: tuple[int, int, int], column: int) -> IndexArray:
     """Rows below the legend that have a colour in a column."""
     return np.flatnonzero((image[64:, column] == color).all(axis=-1)) + 64
 

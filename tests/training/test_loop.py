@@ -23,9 +23,9 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import DatasetError, TrainingError
 from objectflow.networks.weights import load_weights
-from objectflow.training.callbacks import Watch
-from objectflow.training.ema import AveragedWeights
-from objectflow.training.loop import Job, train
+from objectflow.training.callbacks import Callback
+from objectflow.training.ema import ExponentialMovingAverage
+from objectflow.training.loop import TrainJob, train
 from objectflow.training.parallel import Process
 from objectflow.training.prefetch import on_device
 from objectflow.training.setup import build_network, compiled
@@ -66,7 +66,7 @@ def test_a_run_learns_and_says_what_it_did(data: Path, tmp_path: Path) -> None:
 def test_without_a_split_to_validate_on_the_last_weights_are_kept(data: Path, tmp_path: Path) -> None:
     notes: list[str] = []
 
-    class Notes(Watch):
+    class Notes(Callback):
         def note(self, text: str) -> None:
             notes.append(text)
 
@@ -89,7 +89,7 @@ def test_more_sets_are_mixed_in_and_named(data: Path, tmp_path: Path) -> None:
         train(dataclasses.replace(both, also=(), resume=True))
 
 
-def _trained(one: Job) -> Path:
+def _trained(one: TrainJob) -> Path:
     train(one)
     return one.out
 
@@ -97,7 +97,7 @@ def _trained(one: Job) -> Path:
 def test_minutes_end_a_run(data: Path, tmp_path: Path) -> None:
     rates: list[float] = []
 
-    class Rates(Watch):
+    class Rates(Callback):
         def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
             rates.append(line["learning_rate"])
 
@@ -180,7 +180,7 @@ def test_compilation_that_fails_leaves_the_network_as_it_was(monkeypatch: pytest
 def test_running_mean_follows_the_weights() -> None:
     recipe = dataclasses.replace(RECIPE, network=NETWORK)
     network = build_network(recipe, ALONE, backbone=None, start=None)
-    mean = AveragedWeights(network, 0.6)
+    mean = ExponentialMovingAverage(network, 0.6)
     parameter = next(network.parameters())
     values, expected = np.random.default_rng(0).normal(size=12), float(parameter.detach().flatten()[0])
     for n, value in enumerate(values, start=1):
@@ -211,7 +211,7 @@ def test_a_row_that_breaks_in_mid_run(tmp_path: Path) -> None:
     shard = next(folder.glob("*.parquet"))
     whole = shard.read_bytes()
 
-    class Break(Watch):
+    class Break(Callback):
         def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
             # Same size, other bytes: as a disk that goes bad under a run.
             with open(shard, "r+b") as file:

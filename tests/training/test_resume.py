@@ -20,11 +20,11 @@ import torch
 from helpers import training_runs
 from helpers.training_runs import RECIPE, job, tensors_of, write_set
 from objectflow.errors import TrainingError
-from objectflow.training.callbacks import Watch
+from objectflow.training.callbacks import Callback
 from objectflow.training.loop import train
 
 
-class StopAt(Watch):
+class StopAt(Callback):
     """Sends this process the signal of a polite end."""
 
     def __init__(self, step: int, number: int) -> None:

@@ -19,20 +19,20 @@ from helpers.training_runs import RECIPE, job, tensors_of, write_set
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.batches import Batches
 from objectflow.errors import MethodError
-from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
-from objectflow.training.hungarian import assign, mask_costs
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
+from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
 from objectflow.training.recipe import Recipe
-from objectflow.training.rigidmatch_loss_settings import RigidLossSettings
+from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_losses import (
     flow_term,
     match_term,
     place_term,
-    rigid_losses,
+    rigidmatch_losses,
     vote_terms,
     window_term,
 )
-from objectflow.training.rigidmatch_targets import make_truth
+from objectflow.training.rigidmatch_targets import make_rigidmatch_targets
 from objectflow.training.step import Prepared, prepare
 
 SETTINGS = TINY_RIGID
@@ -66,9 +66,9 @@ def network() -> RigidMatch:
     return RigidMatch(SETTINGS, generator=torch.Generator().manual_seed(0)).eval()
 
 
-def output_of(prepared: Prepared) -> RigidOutput:
+def output_of(prepared: Prepared) -> RigidMatchOutput:
     with torch.no_grad():
-        out: RigidOutput = network()(*prepared.images)
+        out: RigidMatchOutput = network()(*prepared.images)
     return out
 
 
@@ -98,7 +98,7 @@ def true_cells_of(prepared: Prepared, stride: int, b: int, row: int, column: int
 
 
 def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -> None:
-    output, truth = output_of(prepared), make_truth(prepared, STRIDE, 0.25)
+    output, truth = output_of(prepared), make_rigidmatch_targets(prepared, STRIDE, 0.25)
     width = output.coarse_match.shape[-1]
     own_height, own_width = truth.coarse_weight.shape[1:]
     top = bottom = 0.0
@@ -128,7 +128,7 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
 
 
 def test_the_window_term_is_that_of_a_loop(prepared: Prepared) -> None:
-    output, truth = output_of(prepared), make_truth(prepared, STRIDE, 1.0)
+    output, truth = output_of(prepared), make_rigidmatch_targets(prepared, STRIDE, 1.0)
     own_height, own_width = truth.owner.shape[1:]
     values = []
     for b, row, column in np.ndindex(2, own_height, own_width):
@@ -165,7 +165,7 @@ def test_mask_costs_are_those_of_each_pair() -> None:
 def test_the_assignment_is_the_cheapest_of_all() -> None:
     costs = torch.randn(1, 1, 5, 4, generator=torch.Generator().manual_seed(3))
     present = torch.tensor([[True, False, True, True]])
-    found = assign(costs, present)[0, 0].tolist()
+    found = assign_queries(costs, present)[0, 0].tolist()
     assert found[1] == -1
     best = min(
         itertools.permutations(range(5), 3),
@@ -175,12 +175,12 @@ def test_the_assignment_is_the_cheapest_of_all() -> None:
 
 
 def test_with_more_objects_than_queries_some_go_without() -> None:
-    found = assign(torch.zeros(1, 1, 2, 3), torch.ones(1, 3, dtype=torch.bool))[0, 0].tolist()
+    found = assign_queries(torch.zeros(1, 1, 2, 3), torch.ones(1, 3, dtype=torch.bool))[0, 0].tolist()
     assert sorted(found) == [-1, 0, 1]
 
 
 def test_the_flow_term_is_the_mean_of_objects_means(prepared: Prepared) -> None:
-    output, truth = output_of(prepared), make_truth(prepared, STRIDE, 1.0)
+    output, truth = output_of(prepared), make_rigidmatch_targets(prepared, STRIDE, 1.0)
     query = torch.tensor([[1, 3], [0, 2]])
     kept = torch.tensor([[True, True], [True, False]])
     means = []
@@ -196,7 +196,7 @@ def test_the_flow_term_is_the_mean_of_objects_means(prepared: Prepared) -> None:
 
 
 def test_the_truth_costs_nothing(prepared: Prepared) -> None:
-    truth = make_truth(prepared, STRIDE, 0.1)
+    truth = make_rigidmatch_targets(prepared, STRIDE, 0.1)
     made = output_of(prepared)
     height, width = truth.owner.shape[1:]
     made = made._replace(
@@ -216,8 +216,8 @@ def test_the_truth_costs_nothing(prepared: Prepared) -> None:
 
 def test_all_terms_are_finite_and_weighted_into_the_total(prepared: Prepared) -> None:
     learner = RigidMatch(SETTINGS, generator=torch.Generator().manual_seed(1))
-    settings = RigidLossSettings()
-    losses = rigid_losses(learner(*prepared.images), prepared, STRIDE, settings)
+    settings = RigidMatchLossSettings()
+    losses = rigidmatch_losses(learner(*prepared.images), prepared, STRIDE, settings)
     weighted = sum(getattr(settings, name) * float(value) for name, value in losses.items() if name != "total")
     assert float(losses["total"].detach()) == pytest.approx(weighted, rel=1e-5)
     losses["total"].backward()  # type: ignore[no-untyped-call]
@@ -227,7 +227,7 @@ def test_all_terms_are_finite_and_weighted_into_the_total(prepared: Prepared) ->
 
 def test_a_weight_that_is_none_is_refused() -> None:
     with pytest.raises(MethodError, match="loss setting flow must be finite and >= 0, not nan"):
-        RigidLossSettings(flow=math.nan)
+        RigidMatchLossSettings(flow=math.nan)
 
 
 def test_the_loop_trains_stops_and_goes_on_bit_for_bit(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from objectflow.dataset.targets import ObjectTable, Targets, make_targets
 from objectflow.errors import MethodError
-from objectflow.networks.sceneflownet.outputs import DenseMotion
-from objectflow.training.sceneflownet_losses import LossSettings, compute_losses
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
+from objectflow.training.sceneflownet_losses import SceneFlowNetLossSettings, sceneflownet_losses
 
 SHAPE = (14, 18)
 WEIGHTS = {
@@ -49,16 +49,16 @@ def a_batch(rotation_weight: float = 0.0) -> tuple[Targets, torch.Tensor, Object
     return make_targets(table, labels, points, nearest=20, rotation_weight=rotation_weight), points, table
 
 
-def some_output(spread: float = 0.1) -> DenseMotion:
+def some_output(spread: float = 0.1) -> SceneFlowNetOutput:
     """Noise about nothing, so that some pixels violate their sphere and some do not."""
     generator = torch.Generator().manual_seed(1)
     channels = (3, 3, 3, 2, 2, 1)
-    return DenseMotion(*(torch.randn(3, c, *SHAPE, generator=generator) * spread for c in channels))
+    return SceneFlowNetOutput(*(torch.randn(3, c, *SHAPE, generator=generator) * spread for c in channels))
 
 
-def near_truth(targets: Targets, spread: float) -> DenseMotion:
+def near_truth(targets: Targets, spread: float) -> SceneFlowNetOutput:
     noise = some_output(spread)
-    return DenseMotion(
+    return SceneFlowNetOutput(
         targets.rotation + noise.rotation,
         targets.translation + noise.translation,
         targets.center + noise.center,
@@ -69,7 +69,7 @@ def near_truth(targets: Targets, spread: float) -> DenseMotion:
 
 
 def reference(
-    output: DenseMotion, targets: Targets, points: torch.Tensor, *, squared: bool, rotation_weight: float = 0.0
+    output: SceneFlowNetOutput, targets: Targets, points: torch.Tensor, *, squared: bool, rotation_weight: float = 0.0
 ) -> dict[str, float]:
     """The terms, pixel by pixel and object by object in float64."""
     maps = {name: value.double().numpy() for name, value in output._asdict().items()}
@@ -123,10 +123,10 @@ def reference(
 @pytest.mark.parametrize("rotation_weight", [0.0, 0.3])
 def test_terms_equal_a_loop(squared: bool, rotation_weight: float) -> None:
     targets, points, _ = a_batch(rotation_weight)
-    settings = LossSettings(squared=squared, rotation_weight=rotation_weight)
+    settings = SceneFlowNetLossSettings(squared=squared, rotation_weight=rotation_weight)
     for output in (some_output(), near_truth(targets, 0.02)):
         expected = reference(output, targets, points, squared=squared, rotation_weight=rotation_weight)
-        found = compute_losses(output, targets, points, settings)
+        found = sceneflownet_losses(output, targets, points, settings)
         assert set(found) == {*WEIGHTS, "total"}
         for name, value in expected.items():
             assert float(found[name]) == pytest.approx(value, rel=2e-5, abs=1e-7), name
@@ -141,7 +141,7 @@ def test_only_far_pixels_violate() -> None:
     for factor, expected in ((0.99, 0.0), (1.01, None)):
         # Both X and X + T move along x by the same amount: sqrt(2) of it in xi.
         shift = torch.cat([factor * reach / 2**0.5, torch.zeros(3, 2, *SHAPE)], 1)
-        found = float(compute_losses(exact._replace(center=exact.center + shift), targets, points)["violation"])
+        found = float(sceneflownet_losses(exact._replace(center=exact.center + shift), targets, points)["violation"])
         mean = sum(float((1.01 * reach[b, 0] * targets.mask[b]).sum() / targets.mask[b].sum()) for b in range(2))
         assert found == pytest.approx(mean / 3 if expected is None else expected, rel=1e-5)
 
@@ -149,8 +149,8 @@ def test_only_far_pixels_violate() -> None:
 @pytest.mark.parametrize("squared", [False, True])
 def test_the_truth_costs_nothing_and_gradients_are_finite_there(squared: bool) -> None:
     targets, points, _ = a_batch()
-    output = DenseMotion(*(one.requires_grad_() for one in near_truth(targets, 0.0)))
-    found = compute_losses(output, targets, points, LossSettings(squared=squared))
+    output = SceneFlowNetOutput(*(one.requires_grad_() for one in near_truth(targets, 0.0)))
+    found = sceneflownet_losses(output, targets, points, SceneFlowNetLossSettings(squared=squared))
     for name, value in found.items():
         assert float(value.detach()) < 1e-5, name
     found["total"].backward()
@@ -159,8 +159,8 @@ def test_the_truth_costs_nothing_and_gradients_are_finite_there(squared: bool) -
 
 def test_background_teaches_the_mask_alone() -> None:
     targets, points, _ = a_batch()
-    output = DenseMotion(*(one.requires_grad_() for one in some_output()))
-    compute_losses(output, targets, points)["total"].backward()
+    output = SceneFlowNetOutput(*(one.requires_grad_() for one in some_output()))
+    sceneflownet_losses(output, targets, points)["total"].backward()
     for name, one in output._asdict().items():
         background = (one.grad.abs().sum(1) > 0)[~targets.mask]
         assert bool(background.all()) if name == "mask" else not bool(background.any()), name
@@ -170,8 +170,8 @@ def test_no_foreground_at_all() -> None:
     table = ObjectTable.from_rows([[], []])
     points = torch.full((2, 3, *SHAPE), torch.nan)
     targets = make_targets(table, torch.zeros(2, *SHAPE, dtype=torch.int64), points)
-    output = DenseMotion(*(one[:2].requires_grad_() for one in some_output()))
-    found = compute_losses(output, targets, points)
+    output = SceneFlowNetOutput(*(one[:2].requires_grad_() for one in some_output()))
+    found = sceneflownet_losses(output, targets, points)
     assert float(found["total"].detach()) == pytest.approx(float(found["mask"]))
     found["total"].backward()
     assert all(bool(one.grad is not None and one.grad.isfinite().all()) for one in output)
@@ -184,17 +184,17 @@ def test_the_mean_of_two_halves_is_the_whole() -> None:
     parts = []
     for b in range(3):
         one = Targets(**{field.name: getattr(targets, field.name)[b : b + 1] for field in dataclasses.fields(targets)})
-        parts.append(compute_losses(DenseMotion(*(x[b : b + 1] for x in output)), one, points[b : b + 1]))
-    for name, value in compute_losses(output, targets, points).items():
+        parts.append(sceneflownet_losses(SceneFlowNetOutput(*(x[b : b + 1] for x in output)), one, points[b : b + 1]))
+    for name, value in sceneflownet_losses(output, targets, points).items():
         assert float(value) == pytest.approx(np.mean([float(part[name]) for part in parts]), rel=1e-5), name
 
 
 def test_low_precision_is_compared_in_float32() -> None:
     targets, points, _ = a_batch()
-    output = DenseMotion(*(one.bfloat16() for one in some_output()))
+    output = SceneFlowNetOutput(*(one.bfloat16() for one in some_output()))
     with torch.autocast("cpu", dtype=torch.bfloat16):
-        found = compute_losses(output, targets, points)
-    wide = compute_losses(DenseMotion(*(one.float() for one in output)), targets, points)
+        found = sceneflownet_losses(output, targets, points)
+    wide = sceneflownet_losses(SceneFlowNetOutput(*(one.float() for one in output)), targets, points)
     for name, value in wide.items():
         assert found[name].dtype == torch.float32
         assert torch.equal(found[name], value)
@@ -202,8 +202,8 @@ def test_low_precision_is_compared_in_float32() -> None:
 
 def test_vl_adds_two_terms() -> None:
     targets, points, _ = a_batch()
-    both = compute_losses(some_output(), targets, points)
-    without = compute_losses(some_output(), targets, points, LossSettings(vl=False))
+    both = sceneflownet_losses(some_output(), targets, points)
+    without = sceneflownet_losses(some_output(), targets, points, SceneFlowNetLossSettings(vl=False))
     assert set(both) - set(without) == {"variance", "violation"}
     added = 0.1 * both["variance"] + 0.1 * both["violation"]
     assert float(both["total"] - without["total"]) == pytest.approx(float(added), rel=1e-4)
@@ -212,4 +212,4 @@ def test_vl_adds_two_terms() -> None:
 @pytest.mark.parametrize("weight", [-1.0, float("nan"), float("inf")])
 def test_weights_must_be_finite(weight: float) -> None:
     with pytest.raises(MethodError, match="loss setting flow must be finite"):
-        LossSettings(flow=weight)
+        SceneFlowNetLossSettings(flow=weight)

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import BoolMask, UInt8Array
 from objectflow.view import draw_flow, draw_overlay, write_pictures
 from objectflow.view.colors import NO_DEPTH, diverging, object_color, wheel
 from objectflow.view.flow import flow_range
@@ -39,7 +39,7 @@ def make_motion(frame: RgbdFrame, moved: tuple[float, float, float], *, moving: 
     return SceneMotion(labels=labels, scene_flow=flow, objects=(obj,), method="hand-made")
 
 
-def colored(image: NDArray[np.uint8], color: tuple[int, int, int], tolerance: int = 30) -> NDArray[np.bool_]:
+def colored(image: UInt8Array, color: tuple[int, int, int], tolerance: int = 30) -> BoolMask:
     return np.asarray(np.abs(image.astype(int) - np.array(color)).max(-1) <= tolerance)
 
 

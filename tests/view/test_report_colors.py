@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from browser import chromium, find_chromium
 from helpers.report_set import make_pair
+from objectflow.typing import UInt8Array
 from objectflow.view import colors
 from objectflow.view.report_page.pair_block import TRUTH, make_pair_block
 
@@ -36,7 +36,7 @@ def run(expression: str, folder: Path) -> Any:
     pytest.skip("neither Node nor Chromium is installed: the report's script is not run")
 
 
-def assert_same(ours: list[list[int]], expected: NDArray[np.uint8]) -> None:
+def assert_same(ours: list[list[int]], expected: UInt8Array) -> None:
     """Equal, but for halves: JavaScript rounds them up and NumPy to even."""
     found = np.array(ours).reshape(expected.shape)
     assert np.abs(found - expected).max() <= 1

@@ -19,7 +19,7 @@ from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.tracker import Tracker
 from objectflow.view.colors import object_color
 from objectflow.view.viewer import NoViewer, open_viewer
-from objectflow.view.viewer_frames import NO_TRACK, Moment, pair_moments, tracked_moments
+from objectflow.view.viewer_frames import NO_TRACK, ViewerFrame, pair_moments, tracked_moments
 
 CAMERA = Camera(width=32, height=24, fx=30.0, fy=30.0, cx=15.5, cy=11.5)
 
@@ -75,7 +75,7 @@ def test_tracked_moments_carry_lasting_ids() -> None:
 
 
 def test_off_means_that_nothing_is_made(tmp_path: Path) -> None:
-    def never() -> Iterable[Moment]:
+    def never() -> Iterable[ViewerFrame]:
         raise AssertionError("made, though nobody looks")
 
     before = set(sys.modules)

@@ -13,13 +13,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from browser import chromium, find_chromium
 from objectflow import geometry
-from objectflow.cli.demo import Truth
+from objectflow.cli.demo import DemoTruth
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import open_pair
+from objectflow.typing import Int64Array
 from objectflow.view.colors import object_color
 
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
@@ -27,8 +27,6 @@ PATIENCE = 240.0
 """Seconds that a busy machine may take to compile and to draw; a free one needs ten."""
 WORLD, LABELS = (slice(70, 620), slice(0, 770)), (slice(462, 630), slice(780, 1100))
 """Where the layout puts the world and the labels in a window of 1100x660."""
-
-Image = NDArray[np.int64]
 
 
 @pytest.fixture
@@ -44,7 +42,7 @@ def program() -> str:
 @pytest.fixture
 def address(program: str, tmp_path: Path) -> Iterator[str]:
     """The web viewer with the demo's truth as a result; Ctrl-C ends it."""
-    truth = Truth.read(PAIR / "truth.npz")
+    truth = DemoTruth.read(PAIR / "truth.npz")
     _, curr = open_pair(PAIR)
     objects = tuple(
         ObjectMotion(k + 1, int((truth.labels == k + 1).sum()), 1.0, bool(truth.moving[k]), center, motion)
@@ -67,7 +65,7 @@ def address(program: str, tmp_path: Path) -> Iterator[str]:
         server.wait()
 
 
-def share(picture: Image, color: tuple[int, int, int], part: tuple[slice, slice], *, shaded: bool) -> float:
+def share(picture: Int64Array, color: tuple[int, int, int], part: tuple[slice, slice], *, shaded: bool) -> float:
     """The share of a part's pixels that have a colour, or a darker shade of it."""
     pixels = picture[part].reshape(-1, 3)
     bright = np.maximum(pixels.max(axis=1), 1)
@@ -77,7 +75,7 @@ def share(picture: Image, color: tuple[int, int, int], part: tuple[slice, slice]
 
 
 def test_the_web_viewer_draws_every_object(address: str, program: str, tmp_path: Path) -> None:
-    truth = Truth.read(PAIR / "truth.npz").labels
+    truth = DemoTruth.read(PAIR / "truth.npz").labels
     numbers = range(1, int(truth.max()) + 1)
     # The labels fill their view's height; beside them it is empty.
     expected = {number: (truth == number).mean() * 225 / 320 for number in numbers}

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
-from objectflow.alignment.matching import Matches
+from objectflow.alignment.matching import PixelMatches
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import depth_sigma, match_sigma
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array
 
 
 def background_motion(
-    matches: Matches, target: registration.Target, curr: RgbdFrame, *, camera: str, rng: np.random.Generator
-) -> Array | None:
+    matches: PixelMatches,
+    target: registration.RegistrationTarget,
+    curr: RgbdFrame,
+    *,
+    camera: str,
+    rng: np.random.Generator,
+) -> Float64Array | None:
     """`prev_T_curr` of the static background, or None for exactly no motion.
 
     Args:
@@ -39,14 +42,14 @@ def background_motion(
         moved = registration.refine(target, source, prev_T_curr, matches=matches[inliers]).prev_T_curr
     if camera == "moving":
         return still if moved is None else moved
-    if moved is None or not _stands_out(moved, matches, source, curr.camera):
+    if moved is None or not _exceeds_noise(moved, matches, source, curr.camera):
         return None
     return moved
 
 
 def dominant_motion(
-    matches: Matches, camera: Camera, rng: np.random.Generator, *, trials: int = 250
-) -> tuple[Array, NDArray[np.bool_]] | None:
+    matches: PixelMatches, camera: Camera, rng: np.random.Generator, *, trials: int = 250
+) -> tuple[Float64Array, BoolMask] | None:
     """The rigid motion that most matches follow, by RANSAC on triplets, and who follows it; None without one."""
     count = len(matches.curr)
     if count < 12:
@@ -70,7 +73,9 @@ def dominant_motion(
     return prev_T_curr, inliers
 
 
-def _stands_out(moved: Array, matches: Matches, source: registration.Source, camera: Camera) -> bool:
+def _exceeds_noise(
+    moved: Float64Array, matches: PixelMatches, source: registration.RegistrationSource, camera: Camera
+) -> bool:
     """Whether a background motion explains matches that no motion leaves unexplained, and more than it loses."""
     shift = np.linalg.norm(geometry.transform(moved, source.points) - source.points, axis=1)
     pixels = geometry.project(source.points, camera)

@@ -8,18 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.matching import Matches
-from objectflow.alignment.registration import _TUKEY
+from objectflow.alignment.matching import PixelMatches
+from objectflow.alignment.registration import TUKEY
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import match_sigma
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 
 def fit_matches(
-    matches: Matches, camera: Camera, *, weights: Floats | None = None, iterations: int = 8
-) -> tuple[Array, NDArray[np.bool_]]:
+    matches: PixelMatches, camera: Camera, *, weights: Float32Array | None = None, iterations: int = 8
+) -> tuple[Float64Array, BoolMask]:
     """Trimmed weighted Kabsch: fit, drop what is further off than noise explains, fit again.
 
     Args:
@@ -40,7 +38,7 @@ def fit_matches(
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         scaled = error / sigma
         scale = max(1.0, 1.4826 * float(np.median(scaled)))
-        robust = np.where(scaled < _TUKEY * scale, (1 - (scaled / (_TUKEY * scale)) ** 2) ** 2, 0.0)
+        robust = np.where(scaled < TUKEY * scale, (1 - (scaled / (TUKEY * scale)) ** 2) ** 2, 0.0)
         if (robust > 0).sum() < 3:
             break
         updated, determined = geometry.kabsch(matches.curr, matches.prev, precision * robust)
@@ -54,7 +52,7 @@ def fit_matches(
     return prev_T_curr, error < 3 * sigma
 
 
-def _rough_fit(matches: Matches, sigma: Array, precision: Array, trials: int = 40) -> Array:
+def _rough_fit(matches: PixelMatches, sigma: Float64Array, precision: Float64Array, trials: int = 40) -> Float64Array:
     """The best by truncated squares of the fit to all matches and the fits to triplets spread over them.
 
     The triplets step through the list at ever other strides, and need no random numbers.
@@ -70,7 +68,9 @@ def _rough_fit(matches: Matches, sigma: Array, precision: Array, trials: int = 4
     return np.asarray(motions[misfit.argmin()])
 
 
-def squared_errors(motions: Array, curr: NDArray[np.floating[Any]], prev: NDArray[np.floating[Any]]) -> Array:
+def squared_errors(
+    motions: Float64Array, curr: NDArray[np.floating[Any]], prev: NDArray[np.floating[Any]]
+) -> Float64Array:
     """Squared distance of every point, carried by every motion, to its match.
 
     Args:

@@ -5,14 +5,14 @@ from __future__ import annotations
 from functools import cached_property
 
 from objectflow.alignment import registration
-from objectflow.alignment.matching import Matches, find_matches
+from objectflow.alignment.matching import PixelMatches, find_matches
 from objectflow.frame import RgbdFrame
 
-WIDTH = 640
+MATCH_WIDTH = 640
 """Pixels: wider frames are narrowed to it first. More adds time, no exactness that the depth would bear."""
 
 
-class Readied:
+class FramePair:
     """What every step that aligns something asks of a pair; each thing is made when it is first asked for.
 
     Attributes:
@@ -20,21 +20,21 @@ class Readied:
         prev_m, curr_m: the same, narrowed; what follows is theirs.
     """
 
-    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, width: int = WIDTH) -> None:
+    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, width: int = MATCH_WIDTH) -> None:
         self.prev, self.curr = prev, curr
-        self.prev_m, self.curr_m = prev.narrowed(width), curr.narrowed(width)
+        self.prev_small, self.curr_small = prev.downscaled_to_width(width), curr.downscaled_to_width(width)
 
     @cached_property
-    def matches(self) -> Matches:
+    def matches(self) -> PixelMatches:
         """Between the frames."""
-        return find_matches(self.prev_m, self.curr_m)
+        return find_matches(self.prev_small, self.curr_small)
 
     @cached_property
-    def target(self) -> registration.Target:
+    def target(self) -> registration.RegistrationTarget:
         """The previous frame."""
-        return registration.Target(self.prev_m)
+        return registration.RegistrationTarget(self.prev_small)
 
     @cached_property
-    def sources(self) -> registration.Sources:
+    def sources(self) -> registration.RegistrationSources:
         """The current frame."""
-        return registration.Sources(self.curr_m)
+        return registration.RegistrationSources(self.curr_small)

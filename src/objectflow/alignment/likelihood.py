@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import depth_sigma
+from objectflow.typing import BoolMask, Float32Array, Float64Array, UInt8Array
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 Box = tuple[slice, slice]
 EVERYWHERE: Box = (slice(None), slice(None))
 
-COST_FLOATING = 6.0
+COST_FREE_SPACE_VIOLATION = 6.0
 """The point would hang in front of what the previous frame saw there: it was not there."""
 COST_HIDDEN = 2.0
 """The point would have been hidden: possible, but a motion that shows it is better."""
@@ -25,7 +23,7 @@ COST_UNSEEN = 1.0
 """Outside the previous image, or no depth there: says nothing for or against."""
 
 
-class Look:
+class AppearanceFeatures:
     """A frame's colour, taken apart so that shadows count little: they travel with what casts them.
 
     Attributes:
@@ -36,7 +34,7 @@ class Look:
     TOLERANCES = ((8.0, 0.35), (40.0, 0.35), (8.0, 0.35), (8.0, 0.35))
     """For each channel: grey levels that cost 0.5, and how much of the local contrast comes on top."""
 
-    def __init__(self, color: NDArray[np.uint8]) -> None:
+    def __init__(self, color: UInt8Array) -> None:
         lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
         light = np.ascontiguousarray(lab[..., 0])
         texture = light - cv2.GaussianBlur(light, (0, 0), 4)
@@ -47,25 +45,25 @@ class Look:
 
 def motion_cost(
     prev: RgbdFrame,
-    points: Floats,
-    prev_T_curr: Array,
-    looks: tuple[Look, Look] | None,
+    points: Float32Array,
+    prev_T_curr: Float64Array,
+    appearance: tuple[AppearanceFeatures, AppearanceFeatures] | None,
     box: Box = EVERYWHERE,
     *,
     blind: float | None = None,
-) -> tuple[Floats, NDArray[np.bool_]]:
+) -> tuple[Float32Array, BoolMask]:
     """How badly a motion fits each pixel, as a negative log-likelihood.
 
     Args:
         prev: the previous frame.
         points: (H, W, 3) of the current frame, at the same size.
         prev_T_curr: the motion.
-        looks: of the previous and the current frame; None leaves colour out.
+        appearance: of the previous and the current frame; None leaves colour out.
         box: rows and columns of the current frame to look at.
         blind: cost of what the previous frame does not show, in place of `COST_HIDDEN` and `COST_UNSEEN`.
 
     Returns:
-        Both of the box' size. (h, w) float32; 0 is perfect, `COST_FLOATING` is ruled out; pixels without depth get
+        Both of the box' size. (h, w) float32; 0 is perfect, `COST_FREE_SPACE_VIOLATION` is ruled out; pixels without depth get
         `COST_UNSEEN` or `blind`.
         (h, w) bool: the pixel would have been hidden behind something.
     """
@@ -93,17 +91,17 @@ def motion_cost(
     known = inside & np.isfinite(offset) & np.isfinite(z)
     scaled = np.where(known, offset, 0) / sigma
     cost = 0.5 * np.minimum(scaled**2, 9)
-    if looks is not None:
-        cost = cost + _color_cost(*looks, u.astype(np.float32), v.astype(np.float32), box)
+    if appearance is not None:
+        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box)
     # Behind what was seen there: at two sigma being hidden costs as much as a bad measurement would, and from there on
     # it is the better reading. Just behind is odder than far behind: it takes a thin thing, or a misfit.
     hidden = known & (scaled > HIDDEN_AT)
-    cost = np.where(scaled < -3, COST_FLOATING, np.where(hidden, cost_hidden + (scaled < 6), cost))
-    cost = np.where(known, np.minimum(cost, COST_FLOATING), cost_unseen).astype(np.float32)
+    cost = np.where(scaled < -3, COST_FREE_SPACE_VIOLATION, np.where(hidden, cost_hidden + (scaled < 6), cost))
+    cost = np.where(known, np.minimum(cost, COST_FREE_SPACE_VIOLATION), cost_unseen).astype(np.float32)
     return cost, hidden
 
 
-def certainty(cost: Floats, gain: Floats) -> float:
+def motion_confidence(cost: Float32Array, gain: Float32Array) -> float:
     """How sure it is that pixels follow a motion: the share that it explains, less where a rival explains them too.
 
     Args:
@@ -117,10 +115,12 @@ def certainty(cost: Floats, gain: Floats) -> float:
     return round(fit * (1 - float(np.exp(-2 * max(0.0, float(gain.mean()))))), 4)
 
 
-def _color_cost(prev: Look, curr: Look, u: Floats, v: Floats, box: Box) -> Floats:
+def _color_cost(
+    prev: AppearanceFeatures, curr: AppearanceFeatures, u: Float32Array, v: Float32Array, box: Box
+) -> Float32Array:
     """Up to 2: the look at (u, v) in `prev` against the box' own; edges may be off by half a pixel."""
     cost = np.zeros(u.shape, np.float32)
-    for channel, (tolerance, slack) in enumerate(Look.TOLERANCES):
+    for channel, (tolerance, slack) in enumerate(AppearanceFeatures.TOLERANCES):
         warped = cv2.remap(prev.channels[channel], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         own, contrast = curr.channels[channel][box], curr.contrast[channel][box]
         cost += ((warped - own) / (tolerance + slack * contrast)) ** 2

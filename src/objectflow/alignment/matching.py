@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-
-Floats = NDArray[np.float32]
+from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
 _SMALLEST = 12
 """Pixels a side that DIS needs."""
 
 
 @dataclass(frozen=True, eq=False)
-class Matches:
+class PixelMatches:
     """Matched 3D points; indexing with a mask or an index array picks some of them.
 
     Attributes:
@@ -27,34 +26,34 @@ class Matches:
         curr, prev: (N, 3) float32 metres, each in its own camera frame.
     """
 
-    pixels: Floats
-    curr: Floats
-    prev: Floats
+    pixels: Float32Array
+    curr: Float32Array
+    prev: Float32Array
 
-    def __getitem__(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Matches:
-        return Matches(self.pixels[index], self.curr[index], self.prev[index])
+    def __getitem__(self, index: BoolMask | IndexArray) -> PixelMatches:
+        return PixelMatches(self.pixels[index], self.curr[index], self.prev[index])
 
-    def __add__(self, other: Matches) -> Matches:
-        return Matches(
+    def __add__(self, other: PixelMatches) -> PixelMatches:
+        return PixelMatches(
             np.concatenate([self.pixels, other.pixels]),
             np.concatenate([self.curr, other.curr]),
             np.concatenate([self.prev, other.prev]),
         )
 
 
-def find_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
+def find_matches(prev: RgbdFrame, curr: RgbdFrame) -> PixelMatches:
     """Flow on a grid and features together: small motions everywhere, large ones where there is something to see."""
     flow, consistent = dense_flow(gray(prev.color), gray(curr.color))
     stride = 4 if curr.camera.width <= 400 else 8
     return flow_matches(flow, consistent, prev, curr, stride=stride) + feature_matches(prev, curr)
 
 
-def gray(color: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def gray(color: UInt8Array) -> UInt8Array:
     """(H, W, 3) RGB -> (H, W) uint8."""
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
-def dense_flow(prev_gray: NDArray[np.uint8], curr_gray: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.bool_]]:
+def dense_flow(prev_gray: UInt8Array, curr_gray: UInt8Array) -> tuple[Float32Array, BoolMask]:
     """DIS optical flow (Kroeger et al., ECCV 2016) from the current to the previous image.
 
     Images with a side below `_SMALLEST` pixels are too small for it: no pixel of theirs is consistent.
@@ -76,7 +75,9 @@ def dense_flow(prev_gray: NDArray[np.uint8], curr_gray: NDArray[np.uint8]) -> tu
     return curr_to_prev, error < 0.01 * length + 0.5
 
 
-def lift(pixels: Floats, prev_pixels: Floats, prev: RgbdFrame, curr: RgbdFrame) -> tuple[Matches, NDArray[np.bool_]]:
+def lift(
+    pixels: Float32Array, prev_pixels: Float32Array, prev: RgbdFrame, curr: RgbdFrame
+) -> tuple[PixelMatches, BoolMask]:
     """Give matched pixels (N, 2) their 3D points.
 
     Returns:
@@ -87,10 +88,10 @@ def lift(pixels: Floats, prev_pixels: Floats, prev: RgbdFrame, curr: RgbdFrame) 
     keep = curr_ok & prev_ok
     curr_points = _points(pixels[keep], curr_depth[keep], curr.camera)
     prev_points = _points(prev_pixels[keep], prev_depth[keep], prev.camera)
-    return Matches(pixels[keep], curr_points, prev_points), keep
+    return PixelMatches(pixels[keep], curr_points, prev_points), keep
 
 
-def sample_depth(depth: Floats, pixels: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def sample_depth(depth: Float32Array, pixels: Float32Array) -> tuple[Float32Array, BoolMask]:
     """Depth between pixels, bilinear only where the four neighbours lie on one surface.
 
     Args:
@@ -116,8 +117,8 @@ def sample_depth(depth: Floats, pixels: Floats) -> tuple[Floats, NDArray[np.bool
 
 
 def flow_matches(
-    flow: Floats, consistent: NDArray[np.bool_], prev: RgbdFrame, curr: RgbdFrame, *, stride: int
-) -> Matches:
+    flow: Float32Array, consistent: BoolMask, prev: RgbdFrame, curr: RgbdFrame, *, stride: int
+) -> PixelMatches:
     """Dense flow sampled every `stride` pixels and lifted, where it is consistent."""
     v, u = np.mgrid[stride // 2 : flow.shape[0] : stride, stride // 2 : flow.shape[1] : stride]
     keep = consistent[v, u]
@@ -125,7 +126,7 @@ def flow_matches(
     return lift(pixels, pixels + flow[v[keep], u[keep]], prev, curr)[0]
 
 
-def feature_matches(prev: RgbdFrame, curr: RgbdFrame, *, limit: int = 1500) -> Matches:
+def feature_matches(prev: RgbdFrame, curr: RgbdFrame, *, limit: int = 1500) -> PixelMatches:
     """SIFT matches (Lowe, IJCV 2004), mutual and with the ratio test: they reach where flow's small steps do not."""
     # A low contrast threshold: tables and packaging are dull, and the ratio test removes what is ambiguous.
     sift = cv2.SIFT.create(nfeatures=limit, contrastThreshold=0.02)
@@ -140,12 +141,12 @@ def feature_matches(prev: RgbdFrame, curr: RgbdFrame, *, limit: int = 1500) -> M
     return lift(pixels, prev_pixels, prev, curr)[0]
 
 
-def _root(words: NDArray[Any]) -> Floats:
+def _root(words: NDArray[Any]) -> Float32Array:
     """RootSIFT (Arandjelovic and Zisserman, CVPR 2012): a dot product then compares histograms as it should."""
     return np.asarray(np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7)), dtype=np.float32)
 
 
-def _match_words(curr: Floats, prev: Floats, ratio: float = 0.85) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _match_words(curr: Float32Array, prev: Float32Array, ratio: float = 0.85) -> tuple[IndexArray, IndexArray]:
     """Mutual nearest neighbours of unit descriptors that beat the second nearest by `ratio` in distance."""
     similarity = curr @ prev.T
     best = similarity.argmax(1)
@@ -156,21 +157,18 @@ def _match_words(curr: Floats, prev: Floats, ratio: float = 0.85) -> tuple[NDArr
     return keep, best[keep]
 
 
-def _where_to(flow: Floats) -> tuple[Floats, Floats]:
+def _where_to(flow: Float32Array) -> tuple[Float32Array, Float32Array]:
     v, u = np.mgrid[0 : flow.shape[0], 0 : flow.shape[1]].astype(np.float32)
     return u + flow[..., 0], v + flow[..., 1]
 
 
-def _points(pixels: Floats, depth: Floats, camera: Camera) -> Floats:
+def _points(pixels: Float32Array, depth: Float32Array, camera: Camera) -> Float32Array:
     x = (pixels[:, 0] - camera.cx) / camera.fx * depth
     y = (pixels[:, 1] - camera.cy) / camera.fy * depth
     return np.stack([x, y, depth], axis=1).astype(np.float32)
 
 
-Mask = NDArray[np.bool_]
-
-
-def inside(mask: Mask, matches: Matches, camera: Camera) -> Mask:
+def inside(mask: BoolMask, matches: PixelMatches, camera: Camera) -> BoolMask:
     """(N,) bool: matches whose pixel, given on `camera`'s image, lies in a mask of any size."""
     height, width = mask.shape
     column = np.clip((matches.pixels[:, 0] + 0.5) * width / camera.width, 0, width - 1).astype(int)

@@ -10,20 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.matching import Matches, gray
+from objectflow.alignment.matching import PixelMatches, gray
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import depth_sigma, match_sigma
 from objectflow.geometry.normals import surface_normals
+from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-
-_TUKEY = 4.685
+TUKEY = 4.685
 """Tukey's biweight constant for 95% efficiency under Gaussian noise."""
 
 
-class Target:
+class RegistrationTarget:
     """The previous frame, made ready to be aligned with: points, normals, colour and its gradient.
 
     Attributes:
@@ -45,7 +43,7 @@ GRAY_BLURS = (3.0, 1.0)
 """Pixels of blur, coarse to fine: colour then pulls over several pixels first and is exact at the end."""
 
 
-class Source(NamedTuple):
+class RegistrationSource(NamedTuple):
     """Points of one object in the current frame.
 
     Attributes:
@@ -53,28 +51,28 @@ class Source(NamedTuple):
         grays: one (N,) float32 for each of `GRAY_BLURS`.
     """
 
-    points: Floats
-    grays: tuple[Floats, ...]
+    points: Float32Array
+    grays: tuple[Float32Array, ...]
 
 
 @dataclass(frozen=True)
-class Refined:
+class RegistrationResult:
     """What `refine` returns.
 
     Attributes:
         prev_T_curr: (4, 4).
-        explained: share of the points seen in `prev` that lie on its surface to within three sigma.
+        fitness: share of the points seen in `prev` that lie on its surface to within three sigma.
         visible: share of the points that `prev` sees (not hidden, not outside, depth there).
-        depth_error: root mean square distance to the surface of the explained points, metres.
+        inlier_rmse: root mean square distance to the surface of the explained points, metres.
     """
 
-    prev_T_curr: Array
-    explained: float
+    prev_T_curr: Float64Array
+    fitness: float
     visible: float
-    depth_error: float
+    inlier_rmse: float
 
 
-class Sources:
+class RegistrationSources:
     """The current frame, made ready to hand out the points of one object after the other."""
 
     def __init__(self, curr: RgbdFrame) -> None:
@@ -82,7 +80,7 @@ class Sources:
         self.points = geometry.back_project(curr.depth, curr.camera)
         self.grays = blurred(curr)
 
-    def take(self, mask: NDArray[np.bool_], *, limit: int = 4000) -> Source:
+    def take(self, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
         """The points of a mask, thinned evenly to at most `limit`.
 
         Args:
@@ -93,35 +91,35 @@ class Sources:
         if len(rows) > limit:
             pick = np.linspace(0, len(rows) - 1, limit).astype(int)
             rows, columns = rows[pick], columns[pick]
-        return Source(self.points[rows, columns], tuple(image[rows, columns] for image in self.grays))
+        return RegistrationSource(self.points[rows, columns], tuple(image[rows, columns] for image in self.grays))
 
 
-def make_source(curr: RgbdFrame, mask: NDArray[np.bool_], *, limit: int = 4000) -> Source:
-    """`Sources(curr).take(mask)`, where one object is all that is wanted."""
-    return Sources(curr).take(mask, limit=limit)
+def make_source(curr: RgbdFrame, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
+    """`RegistrationSources(curr).take(mask)`, where one object is all that is wanted."""
+    return RegistrationSources(curr).take(mask, limit=limit)
 
 
-def blurred(frame: RgbdFrame) -> list[Floats]:
+def blurred(frame: RgbdFrame) -> list[Float32Array]:
     """(H, W) float32 grey images, one for each of `GRAY_BLURS`."""
     base = gray(frame.color).astype(np.float32)
     return [np.asarray(cv2.GaussianBlur(base, (0, 0), sigma), dtype=np.float32) for sigma in GRAY_BLURS]
 
 
-def _with_slopes(image: Floats) -> Floats:
+def _with_slopes(image: Float32Array) -> Float32Array:
     """(H, W) -> (H, W, 3): itself, and its slopes along u and v."""
     slopes = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
     return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
 
 
 def refine(
-    target: Target,
-    source: Source,
-    prev_T_curr: Array,
+    target: RegistrationTarget,
+    source: RegistrationSource,
+    prev_T_curr: Float64Array,
     *,
-    matches: Matches | None = None,
+    matches: PixelMatches | None = None,
     iterations: int = 12,
     color_weight: float = 0.5,
-) -> Refined:
+) -> RegistrationResult:
     """Projective point-to-plane ICP with a colour term, and matches as a third, by robust Gauss-Newton.
 
     Minimises over a twist `x`, applied on the left: `sum w (n.(p - q) / s)^2 + c sum w ((I_prev - I_curr) / g)^2 +
@@ -138,7 +136,7 @@ def refine(
     """
     T = np.array(prev_T_curr, dtype=np.float64)
     if len(source.points) < 6:
-        return Refined(T, 0.0, 0.0, float("inf"))
+        return RegistrationResult(T, 0.0, 0.0, float("inf"))
     places = np.ascontiguousarray(source.points.T, dtype=np.float32)
     for level, grays in enumerate(source.grays):
         for iteration in range(iterations):
@@ -153,12 +151,18 @@ def refine(
             T = geometry.se3_exp(step) @ T
             if np.abs(step).max() < 3e-5:  # 0.03 mm: far below what a depth camera resolves
                 break
-    return judge(target, source, T)
+    return evaluate_registration(target, source, T)
 
 
 def _normal_equations(
-    target: Target, shades: Floats, places: Floats, grays: Floats, T: Array, gate: float, color_weight: float
-) -> tuple[Array, Array]:
+    target: RegistrationTarget,
+    shades: Float32Array,
+    places: Float32Array,
+    grays: Float32Array,
+    T: Float64Array,
+    gate: float,
+    color_weight: float,
+) -> tuple[Float64Array, Float64Array]:
     """The 6x6 system of the depth and the colour terms at T.
 
     Args:
@@ -197,7 +201,7 @@ def _normal_equations(
     return weighted @ J.T, weighted @ r
 
 
-def _pixels_on_image(points: Floats, camera: Camera) -> tuple[Floats, NDArray[np.intp], NDArray[np.intp]]:
+def _pixels_on_image(points: Float32Array, camera: Camera) -> tuple[Float32Array, IndexArray, IndexArray]:
     """(2, N) where points (3, N) fall, which of them lie on the image, and the numbers of those ones' pixels."""
     x, y, z = points
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -209,7 +213,7 @@ def _pixels_on_image(points: Floats, camera: Camera) -> tuple[Floats, NDArray[np
     return pixels, index, row[index].astype(np.intp) * camera.width + column[index].astype(np.intp)
 
 
-def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array, Array]:
+def _match_equations(matches: PixelMatches, T: Float64Array, camera: Camera) -> tuple[Float64Array, Float64Array]:
     """The 6x6 system of the matches' own distances at T."""
     p = geometry.transform(T, matches.curr.astype(np.float64))
     sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
@@ -221,8 +225,10 @@ def _match_equations(matches: Matches, T: Array, camera: Camera) -> tuple[Array,
     return weighted @ J, weighted @ r.ravel()
 
 
-def judge(target: Target, source: Source, T: Array) -> Refined:
-    """How well a motion explains the points that the previous frame sees; see `Refined`."""
+def evaluate_registration(
+    target: RegistrationTarget, source: RegistrationSource, T: Float64Array
+) -> RegistrationResult:
+    """How well a motion explains the points that the previous frame sees; see `RegistrationResult`."""
     points = geometry.transform(T, source.points)
     _, index, cell = _pixels_on_image(points.T, target.camera)
     found, points = target.surface.take(cell, axis=0), points[index]
@@ -233,21 +239,21 @@ def judge(target: Target, source: Source, T: Array) -> Refined:
     distance = np.where(np.isfinite(distance), distance, np.abs(offset[:, 2]))
     good = seen & (distance < 3 * sigma)
     if not good.any():
-        return Refined(T, 0.0, float(seen.sum()) / len(source.points), float("inf"))
-    return Refined(
+        return RegistrationResult(T, 0.0, float(seen.sum()) / len(source.points), float("inf"))
+    return RegistrationResult(
         prev_T_curr=T,
-        explained=float(good.sum()) / float(seen.sum()),
+        fitness=float(good.sum()) / float(seen.sum()),
         visible=float(seen.sum()) / len(source.points),
-        depth_error=float(np.sqrt(np.mean(distance[good] ** 2))),
+        inlier_rmse=float(np.sqrt(np.mean(distance[good] ** 2))),
     )
 
 
-def _cross(a: Array, b: Array) -> Array:
+def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
     """(3, N) x (3, N): np.cross in a third of the time, for a loop that lives on it."""
     (x, y, z), (u, v, w) = a, b
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
-def _tukey(r: NDArray[np.floating]) -> Array:
-    scaled = np.asarray(r, dtype=np.float64) / _TUKEY
+def _tukey(r: NDArray[np.floating]) -> Float64Array:
+    scaled = np.asarray(r, dtype=np.float64) / TUKEY
     return np.where(np.abs(scaled) < 1, (1 - scaled**2) ** 2, 0.0)

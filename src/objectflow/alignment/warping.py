@@ -13,8 +13,9 @@ from objectflow.alignment import matching
 from objectflow.errors import GeometryError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
-_NOTHING = np.uint64(2**64 - 1)
+_EMPTY = np.uint64(2**64 - 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +28,9 @@ class Warped:
         visible: (H, W) bool: the previous frame measured this point, with nothing before it.
     """
 
-    color: NDArray[np.float32]
-    depth: NDArray[np.float32]
-    visible: NDArray[np.bool_]
+    color: Float32Array
+    depth: Float32Array
+    visible: BoolMask
 
 
 def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: float | NDArray[Any]) -> Warped:
@@ -66,9 +67,7 @@ def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: f
     return Warped(color=color, depth=np.where(visible, measured, np.float32(0)), visible=visible)
 
 
-def splat(
-    points: NDArray[Any], color: NDArray[np.uint8], camera: Camera
-) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+def splat(points: NDArray[Any], color: UInt8Array, camera: Camera) -> tuple[UInt8Array, Float32Array]:
     """Throw coloured points into an image: each into the pixel that it falls in, the nearest of a pixel wins.
 
     Args:
@@ -91,9 +90,9 @@ def splat(
     target = row[keep].astype(np.int64) * camera.width + column[keep].astype(np.int64)
     # A buffer of depth and point in one number: bits of positive floats are in the order of the floats.
     near = flat[keep, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
-    buffer = np.full(camera.height * camera.width, _NOTHING)
+    buffer = np.full(camera.height * camera.width, _EMPTY)
     np.minimum.at(buffer, target, near | keep.astype(np.uint64))
-    filled = np.flatnonzero(buffer != _NOTHING)
+    filled = np.flatnonzero(buffer != _EMPTY)
     nearest = (buffer[filled] & np.uint64(0xFFFFFFFF)).astype(np.intp)
     image = np.zeros((camera.height * camera.width, 3), np.uint8)
     depth = np.zeros(camera.height * camera.width, np.float32)
@@ -102,7 +101,7 @@ def splat(
     return image.reshape(camera.height, camera.width, 3), depth.reshape(camera.height, camera.width)
 
 
-def _bilinear(image: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+def _bilinear(image: UInt8Array, pixels: Float32Array) -> Float32Array:
     """(H, W, C) at pixels (N, 2) as (u, v) that lie between pixel centres -> (N, C) float32."""
     height, width, channels = image.shape
     low = np.minimum(np.floor(pixels), np.array([max(0, width - 2), max(0, height - 2)], np.float32))

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -21,6 +20,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.methods.registry import DEFAULT_METHOD, load
 from objectflow.motion import SceneMotion
 from objectflow.readers import open_pair
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 EXAMPLES = """\
   objectflow demo
@@ -48,7 +48,7 @@ class Demo:
         estimator = load(self.method)
         with resources.as_file(resources.files("objectflow") / "demo" / "pair") as pair:
             prev, curr = open_pair(pair)
-            truth = Truth.read(pair / "truth.npz")
+            truth = DemoTruth.read(pair / "truth.npz")
         with new_result(self.out) as (folder, path):
             motion = estimator(prev, curr)
             write_result(folder, curr, motion)
@@ -58,17 +58,17 @@ class Demo:
         print(f"written to {path}: look at {path / 'overlay.png'}")
 
 
-class Truth(NamedTuple):
+class DemoTruth(NamedTuple):
     """What is true about the pair: K objects, labels 1..K on the current pixels, and their motions."""
 
     names: list[str]
-    moving: NDArray[np.bool_]
-    labels: NDArray[np.int32]
-    prev_T_curr: NDArray[np.float64]
-    centers: NDArray[np.float64]
+    moving: BoolMask
+    labels: LabelImage
+    prev_T_curr: Float64Array
+    centers: Float64Array
 
     @classmethod
-    def read(cls, path: Path) -> Truth:
+    def read(cls, path: Path) -> DemoTruth:
         """Read `truth.npz`.
 
         Raises:
@@ -87,7 +87,7 @@ class Truth(NamedTuple):
             raise ReaderError(f"{path}: cannot be read: {error}: install objectflow again") from error
 
 
-class Match(NamedTuple):
+class DemoMatch(NamedTuple):
     """How well a result explains one true object; id 0 and NaN errors if it was not found."""
 
     id: int
@@ -96,11 +96,9 @@ class Match(NamedTuple):
     rotation_deg: float
 
 
-def match_object(
-    mask: NDArray[np.bool_], center: NDArray[np.float64], prev_T_curr: NDArray[np.float64], motion: SceneMotion
-) -> Match:
+def match_object(mask: BoolMask, center: Float64Array, prev_T_curr: Float64Array, motion: SceneMotion) -> DemoMatch:
     """Find the object of a result that covers a true mask best, and the errors of its motion at the true centre."""
-    best = Match(0, 0.0, math.nan, math.nan)
+    best = DemoMatch(0, 0.0, math.nan, math.nan)
     for obj in motion.objects:
         mine = motion.labels == obj.id
         iou = float((mine & mask).sum() / max(1, (mine | mask).sum()))
@@ -108,11 +106,11 @@ def match_object(
             continue
         off = geometry.transform(obj.prev_T_curr, center) - geometry.transform(prev_T_curr, center)
         turn = geometry.rotation_angle(obj.prev_T_curr[:3, :3].T @ prev_T_curr[:3, :3])
-        best = Match(obj.id, iou, 1000 * float(np.linalg.norm(off)), math.degrees(float(turn)))
+        best = DemoMatch(obj.id, iou, 1000 * float(np.linalg.norm(off)), math.degrees(float(turn)))
     return best
 
 
-def print_comparison(truth: Truth, curr: RgbdFrame, motion: SceneMotion) -> None:
+def print_comparison(truth: DemoTruth, curr: RgbdFrame, motion: SceneMotion) -> None:
     """Print one line a thing that moved, what else was found, and the errors of the flow."""
     console = Console(highlight=False)
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -141,7 +139,7 @@ def print_comparison(truth: Truth, curr: RgbdFrame, motion: SceneMotion) -> None
     console.print(f"mean flow error: {1000 * moving:.1f} mm on what moved, {1000 * still:.2f} mm on all else")
 
 
-def flow_errors(truth: Truth, curr: RgbdFrame, motion: SceneMotion) -> tuple[float, float]:
+def flow_errors(truth: DemoTruth, curr: RgbdFrame, motion: SceneMotion) -> tuple[float, float]:
     """Mean distance in metres between estimated and true scene flow: on the moving objects, and everywhere else."""
     motions = {index + 1: truth.prev_T_curr[index] for index in range(len(truth.names))}
     points = geometry.back_project(curr.depth, curr.camera)

@@ -16,7 +16,7 @@ from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file
 from objectflow.errors import DatasetError, MethodError, ResultError
 from objectflow.evaluation.data.sources import PairSet, SequenceUse, open_set
 from objectflow.evaluation.methods import parse_methods
-from objectflow.evaluation.predict import FOLDER, Progress, predict
+from objectflow.evaluation.predict import FOLDER, PredictionProgress, predict
 from objectflow.evaluation.results import Evaluation
 from objectflow.evaluation.score import CachedPairs, score
 from objectflow.evaluation.tables.table_text import print_tables, to_csv, to_json, to_markdown
@@ -100,7 +100,7 @@ class Evaluate:
         with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
             tasks = {spec.label: bar.add_task(spec.label, total=len(keys)) for spec in specs}
 
-            def on_prediction(now: Progress) -> None:
+            def on_prediction(now: PredictionProgress) -> None:
                 failed = f", {now.failed} failed" if now.failed else ""
                 bar.update(tasks[now.label], completed=now.done, description=now.label + failed)
 

@@ -84,9 +84,9 @@ class Generate:
 
     def run(self) -> None:
         """Make the shards that are missing, with a progress bar."""
-        from objectflow.synth.generation.clutter_maker import WildScenes
-        from objectflow.synth.generation.generate import Job, generate
-        from objectflow.synth.generation.paper_maker import Scenes
+        from objectflow.synth.generation.clutter_maker import ClutterScenes
+        from objectflow.synth.generation.generate import GenerationJob, generate
+        from objectflow.synth.generation.paper_maker import PaperScenes
         from objectflow.synth.objects.mixed_library import Meshes
         from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
         from objectflow.synth.scenes.clutter_scene import WildSettings
@@ -117,14 +117,14 @@ class Generate:
             if self.sequences:
                 raise DatasetError("the preset wild makes pairs: leave --sequences out")
             wild = WildSettings(settings)
-            scenes = WildScenes(settings=wild, **common)
+            scenes = ClutterScenes(settings=wild, **common)
         else:
-            scenes = Scenes(settings=settings, **common)
+            scenes = PaperScenes(settings=settings, **common)
         jobs = []
         if self.pairs:
-            jobs.append(Job("pairs", self.split, self.pairs, self.views))
+            jobs.append(GenerationJob("pairs", self.split, self.pairs, self.views))
         if self.sequences:
-            jobs.append(Job("sequences", self.split, self.sequences, len(SEQUENCE_FRAMES)))
+            jobs.append(GenerationJob("sequences", self.split, self.sequences, len(SEQUENCE_FRAMES)))
         console = Console()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         notes: set[str] = set()

@@ -18,7 +18,7 @@ from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArgume
 from objectflow.cli.output import check_not_below_a_file, quiet_libraries
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
-from objectflow.live import Latest, Step, follow, replay
+from objectflow.live import NewestFrame, Step, follow, replay
 from objectflow.readers import open_source
 from objectflow.storage import files
 from objectflow.tracking.tracker import Tracker, TrackerSettings
@@ -75,11 +75,11 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
         with quiet_libraries():
             source = self._open()
         number = 0
-        with self.viewer(Path(self.source).stem) as viewer, Latest(source) as latest, suppress(KeyboardInterrupt):
+        with self.viewer(Path(self.source).stem) as viewer, NewestFrame(source) as latest, suppress(KeyboardInterrupt):
             began: float | None = None
             for step in follow(latest, estimator, tracker, min_gap=self.min_gap):
                 began = step.times[0] if began is None else began
-                print(describe(step), flush=True)
+                print(step_line(step), flush=True)
                 numbers = (number, number := number + step.dropped + 1)
                 seconds = (step.times[0] - began, step.times[1] - began)
                 frames = (step.prev, step.curr)
@@ -111,7 +111,7 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
         return replay(source, speed=self.speed, loop=self.loop)
 
 
-def describe(step: Step) -> str:
+def step_line(step: Step) -> str:
     """One line: the time, and each object's id, speed and turn."""
     seconds = step.times[1] - step.times[0]
     parts = []

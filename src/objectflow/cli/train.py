@@ -65,7 +65,7 @@ class Train:
     def run(self) -> None:
         """Train, and say how it went on."""
         from objectflow.training.callbacks import Several, TensorBoard, Terminal
-        from objectflow.training.loop import Job, train
+        from objectflow.training.loop import TrainJob, train
         from objectflow.training.parallel import is_first
         from objectflow.training.run_folder import WEIGHTS
 
@@ -74,7 +74,7 @@ class Train:
         check_not_below_a_file(out)
         if out.exists() and not out.is_dir():
             raise TrainingError(f"{out} is a file, not a folder: name another --out")
-        job = Job(
+        job = TrainJob(
             name=self.recipe,
             recipe=self.settings,
             data=self.data,

@@ -20,7 +20,7 @@ from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
 from objectflow.view.viewer import open_viewer
-from objectflow.view.viewer_frames import Moment, RunMoments, pair_moments
+from objectflow.view.viewer_frames import RunMoments, ViewerFrame, pair_moments
 
 EXAMPLES = """\
   objectflow view result --frames PAIR_DIR
@@ -74,7 +74,7 @@ class View(CameraArguments):
         if self.save is not None:
             print(f"written to {self.save}")
 
-    def _find(self) -> Callable[[], Iterable[Moment]]:
+    def _find(self) -> Callable[[], Iterable[ViewerFrame]]:
         path = self.path
         if not path.is_dir():
             raise ResultError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
@@ -95,7 +95,7 @@ class View(CameraArguments):
             "or a data set (manifest.json)"
         )
 
-    def _pair(self) -> Callable[[], Iterable[Moment]]:
+    def _pair(self) -> Callable[[], Iterable[ViewerFrame]]:
         if self.frames is None:
             raise ReaderError(
                 f"{self.path}: a result does not hold its frames: add --frames and what was given to "
@@ -104,7 +104,7 @@ class View(CameraArguments):
         prev, curr = open_two(self.frames, self.camera_options())
         return partial(pair_moments, prev, curr, SceneMotion.load(self.path))
 
-    def _run(self) -> Callable[[], Iterable[Moment]]:
+    def _run(self) -> Callable[[], Iterable[ViewerFrame]]:
         names = sorted(
             (int(match[1]), int(match[2]), folder)
             for folder in self.path.iterdir()
@@ -114,7 +114,7 @@ class View(CameraArguments):
             raise ResultError(f"{self.path}: a run without a finished pair")
         moments = RunMoments(self._source(self.path))
 
-        def make() -> Iterator[Moment]:
+        def make() -> Iterator[ViewerFrame]:
             for prev, curr, folder in names:
                 yield from moments.read(folder, prev, curr)
 
@@ -136,7 +136,7 @@ class View(CameraArguments):
             raise ReaderError(f"{source}: the run's frames are not there any more: say where with --frames SOURCE")
         return open_source(source, options, color_topic=topics[0], depth_topic=topics[1])
 
-    def _rows(self) -> Callable[[], Iterable[Moment]]:
+    def _rows(self) -> Callable[[], Iterable[ViewerFrame]]:
         # pyarrow takes its time, and only data sets need it.
         from objectflow.dataset.manifest import Manifest
         from objectflow.dataset.shards import open_pairs, open_sequences

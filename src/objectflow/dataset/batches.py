@@ -20,6 +20,7 @@ from objectflow.dataset.targets import ObjectTable
 from objectflow.errors import DatasetError
 from objectflow.geometry.camera import Camera
 from objectflow.storage import files
+from objectflow.typing import Int64Array
 
 CACHE_BYTES = 2 << 30
 
@@ -202,7 +203,7 @@ def _as_it_is(value: object) -> object:
 
 
 @lru_cache(maxsize=2)
-def _order(seed: int, turn: int, count: int) -> NDArray[np.int64]:
+def _order(seed: int, turn: int, count: int) -> Int64Array:
     """The order of one pass."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(turn,))).permutation(count)
 

@@ -19,6 +19,7 @@ from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.dataset.shards import Shards
 from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
+from objectflow.typing import Float64Array
 
 WORST = 5
 """How many of the worst objects a report names."""
@@ -223,7 +224,7 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
     del report.worst[WORST:]
 
 
-def _lengths(vectors: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _lengths(vectors: list[Float64Array]) -> Float64Array:
     return np.asarray(np.linalg.norm(np.reshape(vectors, (-1, 3)), axis=-1))
 
 

@@ -15,12 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from objectflow import geometry
 from objectflow.dataset.schema import PairRow
 
-LEAST_SHIFT, LEAST_TURN = 0.002, np.radians(0.5)
+MIN_SHIFT, MIN_ROTATION = 0.002, np.radians(0.5)
 """Metres and radians. An object moves if its centre shifts or it turns further than this in the world. Generated
 static objects stand exactly still, and moving ones move further (`objectflow.synth.generation.frame_pairs`)."""
 
 
-def moves(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLike) -> bool:
+def has_moved(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLike) -> bool:
     """Whether an object moved against the world.
 
     Args:
@@ -30,13 +30,15 @@ def moves(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLike) 
     prev = np.asarray(prev_pose, dtype=np.float64)
     still = np.asarray(camera_motion, dtype=np.float64) @ np.asarray(curr_pose, dtype=np.float64)
     shift = float(np.linalg.norm(prev[:3, 3] - still[:3, 3]))
-    return shift > LEAST_SHIFT or float(geometry.rotation_angle(prev[:3, :3] @ still[:3, :3].T)) > LEAST_TURN
+    return shift > MIN_SHIFT or float(geometry.rotation_angle(prev[:3, :3] @ still[:3, :3].T)) > MIN_ROTATION
 
 
 def moving_labels(row: PairRow) -> frozenset[int]:
     """The labels of the objects that count as such: those that move, or all where the row has no camera motion."""
     camera = row.camera_motion
-    return frozenset(obj.label for obj in row.objects if camera is None or moves(obj.prev_pose, obj.curr_pose, camera))
+    return frozenset(
+        obj.label for obj in row.objects if camera is None or has_moved(obj.prev_pose, obj.curr_pose, camera)
+    )
 
 
 def without_still(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -48,7 +50,7 @@ def without_still(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [
         entry
         for entry in entries
-        if moves(np.reshape(entry["prev_pose"], (4, 4)), np.reshape(entry["curr_pose"], (4, 4)), motion)
+        if has_moved(np.reshape(entry["prev_pose"], (4, 4)), np.reshape(entry["curr_pose"], (4, 4)), motion)
     ]
 
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.dataset.schema import FrameObject, PairObject, PairRow, SequenceRow
 from objectflow.errors import DatasetError
 from objectflow.geometry.symmetry import reduce_motion
+from objectflow.typing import LabelImage
 
 
 def pair_objects(
     prev: Sequence[FrameObject],
     curr: Sequence[FrameObject],
-    prev_labels: NDArray[np.int32],
-    curr_labels: NDArray[np.int32],
+    prev_labels: LabelImage,
+    curr_labels: LabelImage,
 ) -> tuple[PairObject, ...]:
     """The object table of a pair: every object that is seen in at least one of the frames.
 

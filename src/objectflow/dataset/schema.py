@@ -15,8 +15,7 @@ from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.symmetry import SymmetryAxis
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 DEPTH_SCALE = 10_000.0
 """Depth units a metre: steps of 0.1 mm up to 6.55 m; what lies beyond is stored as missing."""
@@ -41,16 +40,16 @@ class PairObject:
     label: int
     category: str
     model: str
-    center: Array
-    translation: Array
-    rotation_vector: Array
-    raw_rotation_vector: Array
+    center: Float64Array
+    translation: Float64Array
+    rotation_vector: Float64Array
+    raw_rotation_vector: Float64Array
     symmetry: tuple[SymmetryAxis, ...]
-    prev_pose: Array
-    curr_pose: Array
+    prev_pose: Float64Array
+    curr_pose: Float64Array
     in_both: bool
 
-    def prev_T_curr(self, *, raw: bool = False) -> Array:
+    def prev_T_curr(self, *, raw: bool = False) -> Float64Array:
         """(4, 4) the object's motion back in time, with the reduced or the raw rotation."""
         R = geometry.so3_exp(self.raw_rotation_vector if raw else self.rotation_vector)
         return geometry.make_transform(R, self.center + self.translation - R @ self.center)
@@ -97,7 +96,7 @@ class FrameObject:
     category: str
     model: str
     symmetry: tuple[SymmetryAxis, ...]
-    pose: Array
+    pose: Float64Array
 
     def to_dict(self) -> dict[str, Any]:
         """The object's entry in the `objects` column."""
@@ -140,11 +139,11 @@ class PairRow:
     key: str
     scene: str
     prev: RgbdFrame
-    prev_labels: NDArray[np.int32]
+    prev_labels: LabelImage
     curr: RgbdFrame
-    curr_labels: NDArray[np.int32]
+    curr_labels: LabelImage
     objects: tuple[PairObject, ...]
-    camera_motion: Array | None = None
+    camera_motion: Float64Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The row as Parquet holds it: images as PNG bytes."""
@@ -190,7 +189,7 @@ class SequenceRow:
     sequence: str
     frame: int
     image: RgbdFrame
-    labels: NDArray[np.int32]
+    labels: LabelImage
     objects: tuple[FrameObject, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -221,7 +220,7 @@ class SequenceRow:
 Row = TypeVar("Row", bound=PairRow | SequenceRow)
 
 
-def _frame_columns(frame: RgbdFrame, labels: NDArray[np.int32], prefix: str) -> dict[str, bytes]:
+def _frame_columns(frame: RgbdFrame, labels: LabelImage, prefix: str) -> dict[str, bytes]:
     units = np.round(frame.depth.astype(np.float64) * DEPTH_SCALE)
     units[units > np.iinfo(np.uint16).max] = 0
     if labels.min(initial=0) < 0 or labels.max(initial=0) > np.iinfo(np.uint8).max:
@@ -233,7 +232,7 @@ def _frame_columns(frame: RgbdFrame, labels: NDArray[np.int32], prefix: str) -> 
     }
 
 
-def _frame_from(row: Mapping[str, Any], prefix: str) -> tuple[RgbdFrame, NDArray[np.int32]]:
+def _frame_from(row: Mapping[str, Any], prefix: str) -> tuple[RgbdFrame, LabelImage]:
     camera = Camera.from_dict(row["camera"])
     color = _decode(row[f"{prefix}color"], f"{prefix}color")[..., ::-1]
     depth = _decode(row[f"{prefix}depth"], f"{prefix}depth").astype(np.float32)
@@ -279,11 +278,11 @@ def _symmetry_from_list(entries: list[Mapping[str, Any]]) -> tuple[SymmetryAxis,
     return tuple(axes)
 
 
-def _vector(values: list[float]) -> Array:
+def _vector(values: list[float]) -> Float64Array:
     return np.array(values, dtype=np.float64).reshape(3)
 
 
-def _pose(values: list[float]) -> Array:
+def _pose(values: list[float]) -> Float64Array:
     return np.array(values, dtype=np.float64).reshape(4, 4)
 
 

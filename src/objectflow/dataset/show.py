@@ -15,8 +15,7 @@ from objectflow.dataset.moving_objects import keep_labels, moving_labels
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-
-Image = NDArray[np.uint8]
+from objectflow.typing import Float32Array, LabelImage, UInt8Array
 
 TITLE = 18
 """Pixels: height of the line above each panel."""
@@ -25,7 +24,7 @@ PANEL_WIDTH = 320
 """Pixels: smaller images are enlarged to this width, so that text and centres stay readable."""
 
 
-def draw_pair(row: PairRow) -> Image:
+def draw_pair(row: PairRow) -> UInt8Array:
     """A pair as a picture (h, w, 3) uint8 RGB: colour, depth and labels of both frames, flow, and how far things went.
 
     Crosses are centres of objects seen in both frames; lines on the current frame lead to where they were.
@@ -63,7 +62,7 @@ def draw_pair(row: PairRow) -> Image:
     return _sheet(panels)
 
 
-def draw_frames(rows: Sequence[SequenceRow]) -> Image:
+def draw_frames(rows: Sequence[SequenceRow]) -> UInt8Array:
     """Frames of a sequence below each other (h, w, 3) uint8 RGB: colour with centres, depth, labels."""
     near, far = _range([row.image for row in rows])
     panels = []
@@ -86,7 +85,7 @@ def label_color(label: int) -> tuple[int, int, int]:
     return int(255 * red), int(255 * green), int(255 * blue)
 
 
-def _with_centers(frame: RgbdFrame, centers: NDArray[Any], tails: NDArray[Any] | None) -> Image:
+def _with_centers(frame: RgbdFrame, centers: NDArray[Any], tails: NDArray[Any] | None) -> UInt8Array:
     picture = _enlarge(frame.color)
     scale = picture.shape[1] / frame.camera.width
 
@@ -106,7 +105,7 @@ def _with_centers(frame: RgbdFrame, centers: NDArray[Any], tails: NDArray[Any] |
     return picture
 
 
-def _draw_depth(depth: NDArray[np.float32], near: float, far: float) -> Image:
+def _draw_depth(depth: Float32Array, near: float, far: float) -> UInt8Array:
     """Near is bright; missing is black."""
     level = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
     picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
@@ -114,7 +113,7 @@ def _draw_depth(depth: NDArray[np.float32], near: float, far: float) -> Image:
     return _enlarge(picture, smooth=False)
 
 
-def _draw_labels(labels: NDArray[np.int32], color: Image | None) -> Image:
+def _draw_labels(labels: LabelImage, color: UInt8Array | None) -> UInt8Array:
     table = np.array([label_color(label) if label else (40, 40, 40) for label in range(int(labels.max()) + 1)])
     picture = table[labels].astype(np.float64)
     if color is not None:
@@ -122,14 +121,14 @@ def _draw_labels(labels: NDArray[np.int32], color: Image | None) -> Image:
     return _enlarge(picture.astype(np.uint8), smooth=False)
 
 
-def _draw_flow(flow: NDArray[np.float32], reach: float) -> Image:
+def _draw_flow(flow: Float32Array, reach: float) -> UInt8Array:
     """Red, green and blue for motion along x, y and z; grey is none, black is missing depth."""
     picture = 127.5 + 127.5 * np.clip(np.nan_to_num(flow) / reach, -1, 1)
     picture[np.isnan(flow).any(-1)] = 0
     return _enlarge(picture.astype(np.uint8), smooth=False)
 
 
-def _draw_length(length: NDArray[np.float32], reach: float) -> Image:
+def _draw_length(length: Float32Array, reach: float) -> UInt8Array:
     level = (255 * np.clip(np.nan_to_num(length) / reach, 0, 1)).astype(np.uint8)
     return _enlarge(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1], smooth=False)
 
@@ -141,14 +140,14 @@ def _range(frames: Sequence[RgbdFrame]) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def _enlarge(picture: NDArray[Any], *, smooth: bool = True) -> Image:
+def _enlarge(picture: NDArray[Any], *, smooth: bool = True) -> UInt8Array:
     factor = max(1, round(PANEL_WIDTH / picture.shape[1]))
     size = (picture.shape[1] * factor, picture.shape[0] * factor)
     mode = cv2.INTER_LINEAR if smooth else cv2.INTER_NEAREST
     return np.ascontiguousarray(cv2.resize(picture, size, interpolation=mode), dtype=np.uint8)
 
 
-def _sheet(panels: Sequence[Sequence[tuple[str, Image]]]) -> Image:
+def _sheet(panels: Sequence[Sequence[tuple[str, UInt8Array]]]) -> UInt8Array:
     rows = []
     for line in panels:
         titled = []

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.dataset.schema import PairRow
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 HIDDEN = 0.02
 """Metres: a warped point this far behind what the previous frame shows there was hidden by its own object."""
@@ -30,9 +30,9 @@ class WarpErrors:
         color: grey levels, mean absolute difference of the channels.
     """
 
-    labels: NDArray[np.int32]
-    depth: NDArray[np.float64]
-    color: NDArray[np.float64]
+    labels: LabelImage
+    depth: Float64Array
+    color: Float64Array
 
 
 def warp_errors(row: PairRow, *, raw: bool) -> WarpErrors:
@@ -64,9 +64,7 @@ def warp_errors(row: PairRow, *, raw: bool) -> WarpErrors:
     return WarpErrors(labels[keep], difference[keep], error[keep])
 
 
-def _bilinear(
-    row: PairRow, place: NDArray[np.float64], labels: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+def _bilinear(row: PairRow, place: Float64Array, labels: LabelImage) -> tuple[Float64Array, Float64Array, BoolMask]:
     """Inverse depth (exact on planes) and colour of the previous frame, and where all four pixels are the object's."""
     height, width = row.prev.depth.shape
     finite = np.asarray(np.isfinite(place).all(-1))
@@ -87,7 +85,7 @@ def _bilinear(
     return inverse, color, same
 
 
-def _normals(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normals(points: Float64Array) -> Float64Array:
     """(H, W, 3) unit normals towards the camera by central differences; NaN at the border and beside holes."""
     normals = np.full_like(points, np.nan)
     across = points[1:-1, 2:] - points[1:-1, :-2]
@@ -98,11 +96,11 @@ def _normals(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return normals
 
 
-def _cosine(points: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def _cosine(points: Float64Array, normals: Float64Array) -> Float64Array:
     return np.asarray(-(points * normals).sum(-1) / np.linalg.norm(points, axis=-1))
 
 
-def _same_neighbours(labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+def _same_neighbours(labels: LabelImage) -> BoolMask:
     same = np.zeros(labels.shape, dtype=bool)
     middle = labels[1:-1, 1:-1]
     same[1:-1, 1:-1] = (

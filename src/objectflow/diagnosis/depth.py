@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.diagnosis.finding import Finding
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 NEAR, FAR = 0.15, 6.0
 """Metres: depth cameras over a table or in a room see their median within these."""
@@ -90,7 +88,7 @@ def check_planar(frame: RgbdFrame, name: str, rng: np.random.Generator) -> Findi
     return Finding("ray length", "fine", text)
 
 
-def _plane_error(points: Array, rng: np.random.Generator) -> tuple[float, float]:
+def _plane_error(points: Float64Array, rng: np.random.Generator) -> tuple[float, float]:
     """Median distance of the largest plane's points from it, and the plane's share of all points."""
     triplets = points[rng.integers(0, len(points), (200, 3))]
     normals = np.cross(triplets[:, 1] - triplets[:, 0], triplets[:, 2] - triplets[:, 0])

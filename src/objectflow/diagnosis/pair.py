@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import matching
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.diagnosis import depth as depth_checks
 from objectflow.diagnosis.finding import Finding
 from objectflow.diagnosis.registration import alignment, estimate_offset
@@ -17,8 +16,7 @@ from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.depth_noise import depth_sigma
 from objectflow.methods import moving_camera
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array
 
 WIDTH = 640
 """Pixels; wider frames are looked at in this width, and shifts told in the frames' own pixels."""
@@ -41,7 +39,7 @@ def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]
     """
     check_pair(prev, curr)
     scale = max(1.0, prev.camera.width / WIDTH)
-    prev, curr = prev.narrowed(WIDTH), curr.narrowed(WIDTH)
+    prev, curr = prev.downscaled_to_width(WIDTH), curr.downscaled_to_width(WIDTH)
     rng = np.random.default_rng(seed)
     findings = [depth_checks.check_field_of_view(curr.camera)]
     for frame, name in ((prev, "previous"), (curr, "current")):
@@ -55,7 +53,7 @@ def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]
     same = _identical(prev, curr)
     findings.append(same)
     if same.level == "fine":
-        prev_T_curr = moving_camera.find_camera_motion(Readied(prev, curr), seed=seed)
+        prev_T_curr = moving_camera.find_camera_motion(FramePair(prev, curr), seed=seed)
         findings.append(_exposure(prev, curr))
         if prev_T_curr is None:
             findings.append(_crossed(prev, curr))
@@ -108,7 +106,7 @@ def _crossed(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
     return Finding("crossed", "fine", "colour fits its own depth")
 
 
-def _alignment_within(color_of: RgbdFrame, depth_of: RgbdFrame, changed: NDArray[np.bool_]) -> float:
+def _alignment_within(color_of: RgbdFrame, depth_of: RgbdFrame, changed: BoolMask) -> float:
     kept = np.where(changed, depth_of.depth, 0).astype(np.float32)
     try:
         return alignment(dataclasses.replace(color_of, depth=kept))
@@ -127,7 +125,7 @@ def _exposure(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
     return Finding("exposure", "fine", text)
 
 
-def _motion(prev: RgbdFrame, curr: RgbdFrame, prev_T_curr: Array | None) -> list[Finding]:
+def _motion(prev: RgbdFrame, curr: RgbdFrame, prev_T_curr: Float64Array | None) -> list[Finding]:
     """The camera's motion, and how much of the rest moved."""
     findings = []
     seen: RgbdFrame | None = prev

@@ -6,11 +6,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.frame import RgbdFrame
-
-Floats = NDArray[np.float32]
+from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
 MIN_EDGES = 150
 """Pixels on depth edges; with fewer nothing can be told."""
@@ -69,7 +67,7 @@ def alignment(frame: RgbdFrame) -> float:
     return float(joined.mean()) if len(joined) else float("nan")
 
 
-def _color_change(color: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+def _color_change(color: UInt8Array) -> tuple[Float32Array, Float32Array]:
     """How much colour changes along x and along y, 0..1: beyond a strong edge, stronger does not count for more."""
     lab = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2LAB), (0, 0), 1.0).astype(np.float32)
     along = [np.abs(cv2.Sobel(lab, cv2.CV_32F, dx, dy, scale=1 / 8)).max(axis=2) for dx, dy in ((1, 0), (0, 1))]
@@ -77,7 +75,7 @@ def _color_change(color: NDArray[np.uint8]) -> tuple[Floats, Floats]:
     return tuple(np.minimum(one / limit, 1).astype(np.float32) for one in along)
 
 
-def _depth_edges(depth: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _depth_edges(depth: Float32Array) -> tuple[BoolMask, BoolMask]:
     """Pixels on the near side of a step along x, and along y. Steps beside missing depth are left out: they wander."""
     out = []
     for axis in (1, 0):
@@ -91,7 +89,7 @@ def _depth_edges(depth: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return out[0], out[1]
 
 
-def _inner(edge: NDArray[np.bool_], margin: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _inner(edge: BoolMask, margin: int) -> tuple[IndexArray, IndexArray]:
     """Rows and columns of edge pixels that stay in the image under every shift."""
     inside = np.zeros_like(edge)
     inside[margin:-margin, margin:-margin] = edge[margin:-margin, margin:-margin]

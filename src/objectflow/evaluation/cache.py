@@ -25,6 +25,7 @@ from objectflow.errors import DatasetError, ObjectflowError, ResultError, Storag
 from objectflow.evaluation.data.archives import BROKEN, read_archive
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.storage import files
+from objectflow.typing import Float32Array
 
 SETTINGS = "settings.json"
 STEP = 1e-4
@@ -212,7 +213,7 @@ def file_name(key: str) -> str:
     return key.replace("/", "_")
 
 
-def _pack(flow: NDArray[np.float32]) -> NDArray[Any]:
+def _pack(flow: Float32Array) -> NDArray[Any]:
     missing = ~np.isfinite(flow).all(axis=-1)
     known = flow.copy()
     known[missing] = 0
@@ -225,7 +226,7 @@ def _pack(flow: NDArray[np.float32]) -> NDArray[Any]:
     return np.diff(planes, axis=2, prepend=np.int16(0))  # wraps around, and so does the sum that undoes it
 
 
-def _unpack(packed: NDArray[Any]) -> NDArray[np.float32]:
+def _unpack(packed: NDArray[Any]) -> Float32Array:
     if packed.dtype == np.float32:
         return packed
     if packed.dtype != np.int16 or packed.ndim != 3:

@@ -13,7 +13,7 @@ from typing import Any
 from objectflow import __version__
 from objectflow.errors import ObjectflowError
 from objectflow.evaluation.cache import MethodCache, encode
-from objectflow.evaluation.data.sources import PairSet, Window
+from objectflow.evaluation.data.sources import PairSet, PairWindow
 from objectflow.evaluation.data.truth import PairTruth
 from objectflow.evaluation.methods import MethodSpec, SequenceEstimator
 from objectflow.evaluation.results import EvaluationPair
@@ -32,14 +32,14 @@ SEQUENCES = ("sequences", "consecutive")
 
 
 @dataclass(frozen=True, eq=False)
-class Job:
+class PredictionJob:
     """One method on one pair. `truth` is there for oracles alone, `window` for methods that take sequences."""
 
     method: int
     key: str
     prev: RgbdFrame
     curr: RgbdFrame
-    window: Window | None = None
+    window: PairWindow | None = None
     truth: PairTruth | None = None
 
 
@@ -53,7 +53,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Progress:
+class PredictionProgress:
     """How far a pass is: `done` of `total` rows of the method `label`, `failed` of them in vain."""
 
     label: str
@@ -70,7 +70,7 @@ def predict(
     *,
     workers: int = 1,
     ray: str | None = None,
-    report: Callable[[Progress], None] = lambda _: None,
+    report: Callable[[PredictionProgress], None] = lambda _: None,
 ) -> None:
     """Cache the predictions that `out/predictions` does not hold yet.
 
@@ -101,7 +101,7 @@ def predict(
             with cache.claim(settings_of(spec, pairs)):
                 todo = [key for key in keys if not cache.has(key)]
                 done, failed = len(keys) - len(todo), 0
-                report(Progress(spec.label, done, len(keys), failed))
+                report(PredictionProgress(spec.label, done, len(keys), failed))
                 if not todo:
                     continue
                 pool = pool or Workers(PredictorFactory(tuple(methods), workers, ray is not None), workers, ray)
@@ -112,7 +112,7 @@ def predict(
                     else:
                         cache.write(answer.key, answer.data)
                     done += 1
-                    report(Progress(spec.label, done, len(keys), failed))
+                    report(PredictionProgress(spec.label, done, len(keys), failed))
     finally:
         if pool is not None:
             pool.close()
@@ -132,12 +132,12 @@ def settings_of(spec: MethodSpec, pairs: PairSet) -> dict[str, Any]:
     }
 
 
-def _jobs(pairs: PairSet, keys: Sequence[str], number: int, spec: MethodSpec) -> Iterator[Job]:
+def _jobs(pairs: PairSet, keys: Sequence[str], number: int, spec: MethodSpec) -> Iterator[PredictionJob]:
     in_sequence = pairs.kind in SEQUENCES and not spec.oracle and isinstance(spec.make(), SequenceEstimator)
     for key in keys:
         pair: EvaluationPair = pairs.pair(key)
         window = pairs.window(key) if in_sequence else None
-        yield Job(number, key, pair.prev, pair.curr, window, pair.truth if spec.oracle else None)
+        yield PredictionJob(number, key, pair.prev, pair.curr, window, pair.truth if spec.oracle else None)
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Predictor:
         self._estimators: dict[int, Estimator] = {}
         self._warm: set[int] = set()
 
-    def __call__(self, job: Job) -> Answer:
+    def __call__(self, job: PredictionJob) -> Answer:
         """One prediction; whatever a method raises becomes the reason of its failure."""
         try:
             estimator = self._estimator(job)
@@ -180,7 +180,7 @@ class Predictor:
         timed = dataclasses.replace(motion, seconds=seconds)
         return Answer(job.key, encode(timed, cold=cold, machine=self._machine))
 
-    def _estimator(self, job: Job) -> Estimator:
+    def _estimator(self, job: PredictionJob) -> Estimator:
         if job.truth is not None:
             return self._methods[job.method].make(job.truth)
         if job.method not in self._estimators:
@@ -188,7 +188,7 @@ class Predictor:
         return self._estimators[job.method]
 
 
-def _run(estimator: Estimator, job: Job) -> SceneMotion:
+def _run(estimator: Estimator, job: PredictionJob) -> SceneMotion:
     if job.window is not None and isinstance(estimator, SequenceEstimator):
         return estimator.estimate_in_sequence(*job.window)
     return estimator(job.prev, job.curr)

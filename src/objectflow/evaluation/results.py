@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import DatasetError, StorageError
@@ -21,8 +20,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.storage import files
 from objectflow.storage.serialize import from_plain, to_plain
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 FORMAT = 2
 """Of `results.json`. Another one is refused, not guessed at."""
@@ -259,9 +257,9 @@ def facts_of(truth: PairTruth) -> PairFacts:
     )
 
 
-def _displacement(prev_T_curr: Array, center: Array) -> float:
+def _displacement(prev_T_curr: Float64Array, center: Float64Array) -> float:
     return float(np.linalg.norm(geometry.transform(prev_T_curr, center) - center))
 
 
-def _angle_deg(prev_T_curr: Array) -> float:
+def _angle_deg(prev_T_curr: Float64Array) -> float:
     return math.degrees(float(geometry.rotation_angle(prev_T_curr[:3, :3])))

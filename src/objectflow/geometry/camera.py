@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import CameraError, FrameError, ReaderError
+from objectflow.typing import Float64Array
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Camera:
         object.__setattr__(self, "cy", float(self.cy))
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Float64Array:
         """The 3x3 intrinsic matrix K, in pixels."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 

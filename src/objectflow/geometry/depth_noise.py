@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.geometry.camera import Camera
+from objectflow.typing import Float32Array
 
 
-def depth_sigma(z: NDArray[Any]) -> NDArray[np.float32]:
+def depth_sigma(z: NDArray[Any]) -> Float32Array:
     """Axial standard deviation in metres of a structured-light camera at depth z.
 
     Nguyen, Izadi and Lovell (3DIMPVT 2012), equation 2: 1.2 mm at 0.4 m, 8.2 mm at 2.3 m. Other depth cameras over a
@@ -21,7 +22,7 @@ def depth_sigma(z: NDArray[Any]) -> NDArray[np.float32]:
         return np.asarray(0.0012 + 0.0019 * (np.maximum(z, 0.4) - 0.4) ** 2, dtype=np.float32)
 
 
-def match_sigma(z: NDArray[Any], camera: Camera, pixels: float = 0.7) -> NDArray[np.float32]:
+def match_sigma(z: NDArray[Any], camera: Camera, pixels: float = 0.7) -> Float32Array:
     """Standard deviation in metres of a matched point's difference: both depths and `pixels` of matching error."""
     z = np.asarray(z, dtype=np.float32)
     with np.errstate(over="ignore"):

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.geometry.camera import Camera
+from objectflow.typing import Float32Array
 
 
-def surface_normals(depth: NDArray[Any], camera: Camera) -> NDArray[np.float32]:
+def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN on holes and across depth edges.
 
     A plane is fitted to inverse depth, which is linear in pixels on a plane, by box sums over 5x5 valid neighbours.

@@ -8,18 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.geometry.camera import Camera
+from objectflow.typing import Float32Array, Float64Array, LabelImage
 
-Array = NDArray[np.float64]
 
-
-def pixel_grid(camera: Camera) -> NDArray[np.float32]:
+def pixel_grid(camera: Camera) -> Float32Array:
     """(H, W, 2) float32: rays at z = 1, `((u - cx) / fx, (v - cy) / fy)` of every pixel centre."""
     x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
     return np.stack(np.meshgrid(x, y), axis=-1)
 
 
-def back_project(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+def back_project(depth: Float32Array, camera: Camera) -> Float32Array:
     """Planar depth (H, W) in metres -> points (H, W, 3) float32 in the camera frame; NaN where depth is 0."""
     z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
     return np.concatenate([pixel_grid(camera) * z[..., None], z[..., None]], axis=-1)
@@ -34,11 +33,11 @@ def project(points: NDArray[Any], camera: Camera) -> NDArray[Any]:
 
 
 def flow_from_motions(
-    points: NDArray[np.float32],
-    labels: NDArray[np.int32],
-    motions: dict[int, Array],
-    background_prev_T_curr: Array | None = None,
-) -> NDArray[np.float32]:
+    points: Float32Array,
+    labels: LabelImage,
+    motions: dict[int, Float64Array],
+    background_prev_T_curr: Float64Array | None = None,
+) -> Float32Array:
     """Scene flow `P_prev - P_curr` of rigidly moving regions (equation 1 of the paper).
 
     Args:
@@ -60,7 +59,7 @@ def flow_from_motions(
     return flow
 
 
-def _displacement(prev_T_curr: Array, points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _displacement(prev_T_curr: Float64Array, points: Float32Array) -> Float32Array:
     """(R - I) P + t: subtracting before multiplying keeps small motions exact in float32."""
     A = (prev_T_curr[:3, :3] - np.eye(3)).astype(np.float32)
     return points @ A.T + prev_T_curr[:3, 3].astype(np.float32)

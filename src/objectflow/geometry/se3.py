@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from objectflow.errors import GeometryError
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array
 
 _SMALL_ANGLE = 1e-4
 """Below this the series of sin and cos are exact to double precision and the quotients are not."""
 
 
-def hat(vector: ArrayLike) -> Array:
+def hat(vector: ArrayLike) -> Float64Array:
     """(..., 3) -> (..., 3, 3): the skew matrix with `hat(a) @ b = a x b`."""
     v = np.asarray(vector, dtype=np.float64)
     out = np.zeros((*v.shape[:-1], 3, 3))
@@ -28,7 +27,7 @@ def hat(vector: ArrayLike) -> Array:
     return out
 
 
-def so3_exp(rotation_vector: ArrayLike) -> Array:
+def so3_exp(rotation_vector: ArrayLike) -> Float64Array:
     """Axis-angle (..., 3) in radians -> rotation matrix (..., 3, 3). Rodrigues, with its series near 0."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     a, b, _ = _rodrigues_coefficients(w)
@@ -36,7 +35,7 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
     return np.eye(3) + a * K + b * (K @ K)
 
 
-def so3_log(rotation: ArrayLike) -> Array:
+def so3_log(rotation: ArrayLike) -> Float64Array:
     """Rotation matrix (..., 3, 3) -> axis-angle (..., 3) with an angle in [0, pi].
 
     Through the quaternion of Shepperd's method, so that it is exact to rounding near 0 and near pi alike.
@@ -50,7 +49,7 @@ def so3_log(rotation: ArrayLike) -> Array:
     return np.asarray(factor * vector)
 
 
-def quaternion_from_matrix(rotation: ArrayLike) -> Array:
+def quaternion_from_matrix(rotation: ArrayLike) -> Float64Array:
     """Rotation matrix (..., 3, 3) -> unit quaternion (..., 4) as (w, x, y, z) with w >= 0."""
     R = np.asarray(rotation, dtype=np.float64)
     diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
@@ -69,7 +68,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Array:
     return np.where(q[..., :1] < 0, -q, q)
 
 
-def se3_exp(twist: ArrayLike) -> Array:
+def se3_exp(twist: ArrayLike) -> Float64Array:
     """Twist (..., 6) as [translation part, rotation part] -> (..., 4, 4)."""
     xi = np.asarray(twist, dtype=np.float64)
     rho, w = xi[..., :3], xi[..., 3:]
@@ -83,7 +82,7 @@ def se3_exp(twist: ArrayLike) -> Array:
     return out
 
 
-def se3_log(a_T_b: ArrayLike) -> Array:
+def se3_log(a_T_b: ArrayLike) -> Float64Array:
     """(..., 4, 4) -> twist (..., 6) as [translation part, rotation part]; the inverse of `se3_exp`."""
     T = np.asarray(a_T_b, dtype=np.float64)
     w = so3_log(T[..., :3, :3])
@@ -94,7 +93,7 @@ def se3_log(a_T_b: ArrayLike) -> Array:
     return np.concatenate([rho, w], axis=-1)
 
 
-def _rodrigues_coefficients(w: Array) -> tuple[Array, Array, Array]:
+def _rodrigues_coefficients(w: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
     """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3 of (..., 3) vectors, shaped (..., 1, 1)."""
     t = np.linalg.norm(w, axis=-1)[..., None, None]
     t2 = t * t
@@ -107,7 +106,7 @@ def _rodrigues_coefficients(w: Array) -> tuple[Array, Array, Array]:
     return a, b, c
 
 
-def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Float64Array:
     """(..., 3, 3) and (..., 3) -> (..., 4, 4)."""
     R, t = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
     out = np.zeros((*R.shape[:-2], 4, 4))
@@ -115,7 +114,7 @@ def make_transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
     return out
 
 
-def inverse(a_T_b: ArrayLike) -> Array:
+def inverse(a_T_b: ArrayLike) -> Float64Array:
     """Rigid inverse of (..., 4, 4): `b_T_a`."""
     T = np.asarray(a_T_b, dtype=np.float64)
     R = np.swapaxes(T[..., :3, :3], -1, -2)
@@ -128,14 +127,14 @@ def transform(a_T_b: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
-def rotation_angle(rotation: ArrayLike) -> Array:
+def rotation_angle(rotation: ArrayLike) -> Float64Array:
     """Angle in radians of rotation matrices (..., 3, 3)."""
     return np.asarray(np.linalg.norm(so3_log(rotation), axis=-1))
 
 
 def kabsch(
     curr: NDArray[Any], prev: NDArray[Any], weights: NDArray[Any] | None = None
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Float64Array, BoolMask]:
     """Weighted least-squares rigid motion `prev_T_curr` of matched points; batched.
 
     Minimises `sum w |R curr + t - prev|^2` (Kabsch 1976; the reflection guard is Umeyama 1991, equation 43).

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from objectflow.errors import GeometryError
 from objectflow.geometry.se3 import quaternion_from_matrix, rotation_angle, so3_exp
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 _GAIN = 1e-9
 """Radians by which a pass must shrink the rotation to count; below it two choices are a tie."""
@@ -31,7 +30,9 @@ class SymmetryAxis:
     """n >= 2 for C_n (turns by 2 pi / n), 0 for continuous (any turn)."""
 
 
-def reduce_motion(prev_R_object: ArrayLike, curr_R_object: ArrayLike, symmetry: Sequence[SymmetryAxis]) -> Array:
+def reduce_motion(
+    prev_R_object: ArrayLike, curr_R_object: ArrayLike, symmetry: Sequence[SymmetryAxis]
+) -> Float64Array:
     """The smallest rotation `prev_R_curr` (3, 3) that cannot be told from the object's own.
 
     Args:
@@ -43,7 +44,7 @@ def reduce_motion(prev_R_object: ArrayLike, curr_R_object: ArrayLike, symmetry: 
     return reduce_rotation(Rp @ Rc.T, axes @ Rp.T, axes @ Rc.T, [axis.order for axis in symmetry])
 
 
-def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, orders: Sequence[int]) -> Array:
+def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
     """Reduce a rotation about every symmetry axis.
 
     Each pass takes the twist about one axis to (-pi/n, pi/n], the paper's rule; passes repeat until none shrinks the
@@ -90,7 +91,7 @@ def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, 
     return R
 
 
-def reduce_about_axis(rotation: Array, curr_axis: Array, order: int) -> Array:
+def reduce_about_axis(rotation: Float64Array, curr_axis: Float64Array, order: int) -> Float64Array:
     """Take the twist of `prev_R_curr` about one axis to (-pi/n, pi/n]; 0 for a continuous axis.
 
     Args:
@@ -102,7 +103,7 @@ def reduce_about_axis(rotation: Array, curr_axis: Array, order: int) -> Array:
     return np.asarray(rotation @ so3_exp((wrap(alpha, order) - alpha) * curr_axis))
 
 
-def twist_angle(rotation: Array, curr_axis: Array) -> float:
+def twist_angle(rotation: Float64Array, curr_axis: Float64Array) -> float:
     """The part of a rotation (3, 3) that turns about an axis, in (-pi, pi].
 
     alpha = 2 atan((r_x q_x + r_y q_y + r_z q_z) / q_0); the paper's print has r_z q_z twice and r_y q_y missing. The
@@ -121,7 +122,7 @@ def wrap(alpha: float, order: int) -> float:
     return float(alpha - step * np.ceil(alpha / step - 0.5 - 1e-12))
 
 
-def _turn_over(rotation: Array, curr_axis: Array) -> Array:
+def _turn_over(rotation: Float64Array, curr_axis: Float64Array) -> Float64Array:
     """Swap the ends of a continuous axis (a half turn across it) where that makes the rotation smaller."""
     prev_axis = rotation @ curr_axis
     if prev_axis @ curr_axis >= 0:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.live.newest_frame import Latest, Taken
+from objectflow.live.newest_frame import FrameTaken, NewestFrame
 from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.tracking.tracker import Tracker
@@ -36,7 +36,7 @@ class Step:
 
 
 def follow(
-    latest: Latest,
+    latest: NewestFrame,
     estimator: Estimator,
     tracker: Tracker,
     *,
@@ -55,7 +55,7 @@ def follow(
     Raises:
         ObjectflowError: what the source raised, or frames that do not fit together.
     """
-    prev: Taken | None = latest.take()
+    prev: FrameTaken | None = latest.take()
     if prev is None:
         return
     prev_time = _time_of(prev, clock)
@@ -84,5 +84,5 @@ def follow(
         prev, prev_time = curr, curr_time
 
 
-def _time_of(taken: Taken, clock: Callable[[], float]) -> float:
+def _time_of(taken: FrameTaken, clock: Callable[[], float]) -> float:
     return clock() if taken.frame.timestamp is None else taken.frame.timestamp

@@ -10,14 +10,14 @@ from typing import NamedTuple
 from objectflow.frame import RgbdFrame
 
 
-class Taken(NamedTuple):
+class FrameTaken(NamedTuple):
     """A frame and its number in the source, from 0."""
 
     number: int
     frame: RgbdFrame
 
 
-class Latest:
+class NewestFrame:
     """Reads a source in a thread of its own and keeps its newest frame alone.
 
     Use it in a `with` block: the thread ends with it, and so does the source if it can be closed.
@@ -26,13 +26,13 @@ class Latest:
     def __init__(self, source: Iterable[RgbdFrame]) -> None:
         self._source = source
         self._changed = threading.Condition()
-        self._newest: Taken | None = None
+        self._newest: FrameTaken | None = None
         self._ended = False
         self._stop = False
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._read, name="frames", daemon=True)
 
-    def __enter__(self) -> Latest:
+    def __enter__(self) -> NewestFrame:
         self._thread.start()
         return self
 
@@ -43,7 +43,7 @@ class Latest:
             self._stop = True
         self._thread.join(timeout=5.0)
 
-    def take(self, after: int = -1, timeout: float | None = None) -> Taken | None:
+    def take(self, after: int = -1, timeout: float | None = None) -> FrameTaken | None:
         """Wait for a frame newer than the one of number `after`.
 
         Args:
@@ -74,7 +74,7 @@ class Latest:
                 with self._changed:
                     if self._stop:
                         break
-                    self._newest = Taken(number, frame)
+                    self._newest = FrameTaken(number, frame)
                     self._changed.notify_all()
         except BaseException as error:  # handed to whoever takes frames; a thread has nobody to raise it to
             self._error = error

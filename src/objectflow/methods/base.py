@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
@@ -32,9 +32,9 @@ def check_camera_option(camera: str) -> None:
 
 
 @runtime_checkable
-class TakesReadied(Protocol):
-    """An estimator that spares itself what somebody else has made ready."""
+class AcceptsFramePair(Protocol):
+    """An estimator that spares itself what somebody else has prepared."""
 
-    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
         """As the call of an `Estimator`."""
         ...

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.motion import ObjectMotion
-
-Labels = NDArray[np.int32]
-Floats = NDArray[np.float32]
+from objectflow.typing import Float32Array, LabelImage
 
 
-def keep_seen(labels: Labels, objects: tuple[ObjectMotion, ...]) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+def relabel_present(
+    labels: LabelImage, objects: tuple[ObjectMotion, ...]
+) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """Count each object's pixels and number anew from 1: objects without pixels go, and labels without an object."""
     counts = np.bincount(labels.ravel(), minlength=1 + max((obj.id for obj in objects), default=0))
     kept = [obj for obj in objects if counts[obj.id]]
@@ -24,6 +23,6 @@ def keep_seen(labels: Labels, objects: tuple[ObjectMotion, ...]) -> tuple[Labels
     return number[labels], renamed
 
 
-def rigid_flow(objects: tuple[ObjectMotion, ...], labels: Labels, points: Floats) -> Floats:
+def rigid_flow(objects: tuple[ObjectMotion, ...], labels: LabelImage, points: Float32Array) -> Float32Array:
     """The flow that the objects' motions make; shapes as in `pixel_flow`."""
     return geometry.flow_from_motions(points, labels, {obj.id: obj.prev_T_curr for obj in objects})

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import depth_sigma
-from objectflow.geometry.resample import nearest
+from objectflow.geometry.resample import nearest_indices
+from objectflow.typing import LabelImage
 
 
-def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDArray[np.int32]:
+def upsample_labels(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> LabelImage:
     """Bring labels to the full image: near borders each pixel asks the small pixels around it that look like it.
 
     Args:
@@ -24,7 +24,7 @@ def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDA
     """
     height, width = full.depth.shape
     h, w = labels.shape
-    rows, columns = nearest((h, w), (height, width))
+    rows, columns = nearest_indices((h, w), (height, width))
     out = labels[rows[:, None], columns[None, :]]
     if (h, w) != (height, width):
         size = np.ones((3, 3))
@@ -45,7 +45,7 @@ def sharpen(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDA
     return _fill_holes(out, full)
 
 
-def follow_edges(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -> NDArray[np.int32]:
+def snap_to_edges(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> LabelImage:
     """Let labels that were found on a smaller image end where depth and colour of the full one do.
 
     Args:
@@ -58,12 +58,12 @@ def follow_edges(labels: NDArray[np.int32], small: RgbdFrame, full: RgbdFrame) -
     """
     if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
         return labels
-    rows, columns = nearest(labels.shape, small.depth.shape)
-    sharp = sharpen(labels[rows[:, None], columns], small, full)
+    rows, columns = nearest_indices(labels.shape, small.depth.shape)
+    sharp = upsample_labels(labels[rows[:, None], columns], small, full)
     return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
-def _fill_holes(labels: NDArray[np.int32], full: RgbdFrame) -> NDArray[np.int32]:
+def _fill_holes(labels: LabelImage, full: RgbdFrame) -> LabelImage:
     """Missing depth that lies wholly inside one object belongs to it."""
     count, numbers, boxes, _ = cv2.connectedComponentsWithStats((~full.valid).astype(np.uint8), connectivity=4)
     for number in range(1, count):

@@ -1,7 +1,7 @@
 """A moving camera for methods that are made for a still one.
 
 The background's motion is estimated first; the previous frame is rendered as the current camera would have seen it,
-the method looks at two frames of one still camera, and its motions are carried back to where the camera really was.
+the method appearance at two frames of one still camera, and its motions are carried back to where the camera really was.
 """
 
 from __future__ import annotations
@@ -13,22 +13,19 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment import warping
 from objectflow.alignment.camera_motion import background_motion
-from objectflow.alignment.frame_pair import Readied
-from objectflow.alignment.moved import STILL, moves
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import depth_sigma
-from objectflow.methods.base import Estimator, TakesReadied, check_camera_option
+from objectflow.methods.base import AcceptsFramePair, Estimator, check_camera_option
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
+from objectflow.typing import Float32Array, Float64Array
 
 SCALE_ERROR = 0.1
 """Of the way that the camera went past an object: a depth camera's scale is off by some percent, and what that makes
@@ -63,10 +60,10 @@ class MovingCamera:
         """See `Estimator`. `camera_motion` is set where the camera was found to move."""
         start = time.perf_counter()
         check_pair(prev, curr)
-        ready = Readied(prev, curr)
-        prev_T_curr = find_camera_motion(ready, camera=self.camera, seed=self.seed)
+        pair = FramePair(prev, curr)
+        prev_T_curr = find_camera_motion(pair, camera=self.camera, seed=self.seed)
         if prev_T_curr is None:
-            still = _call(self.estimator, prev, curr, ready)
+            still = _call(self.estimator, prev, curr, pair)
             return dataclasses.replace(still, seconds=time.perf_counter() - start)
         seen = as_seen_from(prev, prev_T_curr, curr.camera)
         if seen is None:
@@ -80,26 +77,26 @@ class MovingCamera:
         return dataclasses.replace(still, seconds=time.perf_counter() - start)
 
 
-def _call(estimator: Estimator, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+def _call(estimator: Estimator, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
     """The estimator's answer, sooner where it can use what is ready."""
-    return estimator.estimate(prev, curr, ready) if isinstance(estimator, TakesReadied) else estimator(prev, curr)
+    return estimator.estimate(prev, curr, pair) if isinstance(estimator, AcceptsFramePair) else estimator(prev, curr)
 
 
-def find_camera_motion(ready: Readied, *, camera: str = "auto", seed: int = 0) -> Array | None:
+def find_camera_motion(pair: FramePair, *, camera: str = "auto", seed: int = 0) -> Float64Array | None:
     """`prev_T_curr` of the static background.
 
     Args:
-        ready: the frames.
+        pair: the frames.
         camera: "moving" always answers, "auto" answers None unless the motion stands out, "static" is None.
         seed: of the random minimal sets.
     """
     if camera == "static":
         return None
     rng = np.random.default_rng(seed)
-    return background_motion(ready.matches, ready.target, ready.curr_m, camera=camera, rng=rng)
+    return background_motion(pair.matches, pair.target, pair.curr_small, camera=camera, rng=rng)
 
 
-def as_seen_from(prev: RgbdFrame, prev_T_curr: Array, camera: Camera) -> RgbdFrame | None:
+def as_seen_from(prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera) -> RgbdFrame | None:
     """The previous frame rendered from the current camera's place.
 
     Points are thrown into the view, cracks between them closed, and colour and depth then read from the previous image
@@ -134,7 +131,7 @@ def as_seen_from(prev: RgbdFrame, prev_T_curr: Array, camera: Camera) -> RgbdFra
     return RgbdFrame(color=color[rows, columns], depth=depth, camera=camera, timestamp=prev.timestamp, name=prev.name)
 
 
-def _close_cracks(depth: Floats) -> Floats:
+def _close_cracks(depth: Float32Array) -> Float32Array:
     """Depth with gaps of a pixel or two, between points of one surface, filled from their rims."""
     nearness = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     closed = cv2.morphologyEx(nearness, cv2.MORPH_CLOSE, np.ones((3, 3)))
@@ -143,7 +140,7 @@ def _close_cracks(depth: Floats) -> Floats:
     return np.where(crack, 1 / np.maximum(closed, 1e-6), depth).astype(np.float32)
 
 
-def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Array) -> SceneMotion:
+def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Float64Array) -> SceneMotion:
     """Carry motions between two frames of one camera pose back to the camera that moved.
 
     What moved less than the camera's own way may feign is no longer said to move.
@@ -160,7 +157,9 @@ def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Array) -> SceneMot
     flow = geometry.transform(prev_T_curr, points + still.scene_flow) - points
     objects = tuple(
         dataclasses.replace(
-            obj, prev_T_curr=prev_T_curr @ obj.prev_T_curr, moving=obj.moving and _stands_out(obj, prev_T_curr)
+            obj,
+            prev_T_curr=prev_T_curr @ obj.prev_T_curr,
+            moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr),
         )
         for obj in still.objects
     )
@@ -169,7 +168,9 @@ def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Array) -> SceneMot
     )
 
 
-def _stands_out(obj: ObjectMotion, prev_T_curr: Array) -> bool:
+def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array) -> bool:
     """Whether an object's own motion is more than the error of the camera's."""
     passed = np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center)
-    return bool(moves(obj.prev_T_curr[:3, :3], obj.translation, max(STILL, SCALE_ERROR * float(passed))))
+    return bool(
+        is_moving(obj.prev_T_curr[:3, :3], obj.translation, max(STATIC_DISPLACEMENT, SCALE_ERROR * float(passed)))
+    )

@@ -16,13 +16,13 @@ DEFAULT_METHOD = "rigidmatch"
 class MethodEntry(NamedTuple):
     """Where a method lives; its class is a dataclass whose fields are the options of `load`.
 
-    `still`: it is made for a camera that stands still; for one that moves, `load` wraps it in `MovingCamera`.
+    `assumes_static_camera`: it is made for a camera that stands still; for one that moves, `load` wraps it in `MovingCamera`.
     """
 
     summary: str
     module: str
     factory: str
-    still: bool = False
+    assumes_static_camera: bool = False
 
 
 METHODS: dict[str, MethodEntry] = {
@@ -30,12 +30,12 @@ METHODS: dict[str, MethodEntry] = {
         "global matching, objects as a set, motions by solving, checked against the frames; weights come with it",
         "objectflow.methods.rigidmatch.estimator",
         "RigidMatchEstimator",
-        still=True,
+        assumes_static_camera=True,
     ),
     "consensus": MethodEntry(
         "training-free: rigid motions by consensus of matched points, refined against the depth",
         "objectflow.methods.consensus.estimator",
-        "Consensus",
+        "ConsensusEstimator",
     ),
     "dense-flow": MethodEntry(
         "DIS optical flow lifted by depth, occlusion-checked; flow only, no objects",
@@ -46,7 +46,7 @@ METHODS: dict[str, MethodEntry] = {
         "Jaimez et al. 2015: dense variational flow of brightness and depth; flow only, no objects",
         "objectflow.methods.baselines.pd_flow.estimator",
         "PdFlow",
-        still=True,
+        assumes_static_camera=True,
     ),
     "vo-sf": MethodEntry(
         "Jaimez et al. 2017: geometric clusters, static or moving, with a rigid motion each",
@@ -67,19 +67,19 @@ METHODS: dict[str, MethodEntry] = {
         "the paper's network with correlation and all losses; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetCVL",
-        still=True,
+        assumes_static_camera=True,
     ),
     "sceneflownet-c": MethodEntry(
         "the same without the variance and violation losses; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetC",
-        still=True,
+        assumes_static_camera=True,
     ),
     "sceneflownet-s": MethodEntry(
         "the paper's simple network, without correlation; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetS",
-        still=True,
+        assumes_static_camera=True,
     ),
     "zero": MethodEntry(
         "nothing moves: the row that every method must beat", "objectflow.methods.baselines.zero", "Zero"
@@ -109,7 +109,7 @@ def load(name: str = DEFAULT_METHOD, **options: Any) -> Estimator:
     if unknown:
         raise MethodError(f"method {name!r} has no option {unknown[0]!r}: it has {', '.join(known)}")
     camera = options.get("camera", "auto")
-    if not entry.still or camera == "static":
+    if not entry.assumes_static_camera or camera == "static":
         return cast(Estimator, factory(**options))
     check_camera_option(camera)
     # Imported here: it is made of estimators.

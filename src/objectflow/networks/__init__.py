@@ -2,7 +2,7 @@
 
 from objectflow.networks.sceneflownet.backbone import load_backbone
 from objectflow.networks.sceneflownet.network import SceneFlowNet
-from objectflow.networks.sceneflownet.outputs import DenseMotion, scene_flow
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput, scene_flow
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 
-__all__ = ["DenseMotion", "NetworkSettings", "SceneFlowNet", "load_backbone", "scene_flow"]
+__all__ = ["NetworkSettings", "SceneFlowNet", "SceneFlowNetOutput", "load_backbone", "scene_flow"]

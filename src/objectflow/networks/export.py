@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow.errors import MethodError, MissingExtraError
-from objectflow.networks import DenseMotion, SceneFlowNet
-from objectflow.networks.rigidmatch.export_form import SolveLater
+from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
+from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 from objectflow.networks.weights import Network
 from objectflow.storage import files
 
@@ -32,7 +32,7 @@ def export_onnx(
     """Write a network for frames of one size, whole or not at all.
 
     The graph has the four inputs of `SceneFlowNet.forward` (1, 3, H, W), NaN where depth is missing, and the six maps
-    of `DenseMotion` as outputs, all by name; for a `RigidMatch` those of `SolveLater`, since a graph has no singular
+    of `SceneFlowNetOutput` as outputs, all by name; for a `RigidMatch` those of `ExportableRigidMatch`, since a graph has no singular
     value decomposition. Its metadata holds, as JSON under "objectflow", the network's settings, the size and
     `metadata`.
 
@@ -77,8 +77,8 @@ def export_onnx(
 def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
     """The graph, and what torch makes of the same frames."""
     training, device = network.training, next(network.parameters()).device
-    form = network if isinstance(network, SceneFlowNet) else SolveLater(network)
-    names = DenseMotion._fields if isinstance(network, SceneFlowNet) else SolveLater.OUTPUTS
+    form = network if isinstance(network, SceneFlowNet) else ExportableRigidMatch(network)
+    names = SceneFlowNetOutput._fields if isinstance(network, SceneFlowNet) else ExportableRigidMatch.OUTPUTS
     try:
         network.eval().cpu()
         with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:

@@ -101,7 +101,7 @@ def load_network(
     path = Path(path)
     found, metadata = read_header(path)
     if settings is not None:
-        check_settings(found, settings, where=str(path))
+        check_network_settings(found, settings, where=str(path))
         found = settings
     try:
         tensors = safetensors.torch.load_file(path)
@@ -156,7 +156,7 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
         raise MethodError(f"{path}: {error}") from error
 
 
-def check_settings(found: Settings, wanted: Settings, *, where: str) -> None:
+def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> None:
     """Check that weights are of the configuration asked for.
 
     Raises:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
+from objectflow.typing import Float32Array, UInt8Array
 
 _DEPTH = {"16uc1", "mono16", "32fc1"}
 _LAYOUTS: dict[str, tuple[type[np.generic], int, int | None]] = {
@@ -44,7 +45,7 @@ def is_depth(message: Any) -> bool | None:
     return None
 
 
-def to_color(message: Any, topic: str) -> NDArray[np.uint8]:
+def to_color(message: Any, topic: str) -> UInt8Array:
     """An Image or CompressedImage message as (H, W, 3) uint8 RGB.
 
     Raises:
@@ -62,7 +63,7 @@ def to_color(message: Any, topic: str) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), dtype=np.uint8)
 
 
-def to_depth(message: Any, topic: str, depth_scale: float) -> NDArray[np.float32]:
+def to_depth(message: Any, topic: str, depth_scale: float) -> Float32Array:
     """An Image or compressedDepth message as (H, W) float32 metres, 0 = missing.
 
     Args:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
+from objectflow.typing import UInt8Array
 
 
-def read_color(path: Path) -> NDArray[np.uint8]:
+def read_color(path: Path) -> UInt8Array:
     """Read a colour image as (H, W, 3) uint8 RGB; grey is repeated, alpha dropped.
 
     Raises:

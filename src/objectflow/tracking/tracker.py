@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from objectflow import geometry
@@ -17,8 +16,7 @@ from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array
 
 CELLS = 64
 """Footprints are compared on so many cells across the image: fine enough for a cup, and thinned points fill them."""
@@ -61,7 +59,7 @@ class Track:
 
     id: int
     times: list[float] = field(default_factory=list)
-    world_T_object: list[Array] = field(default_factory=list)
+    world_T_object: list[Float64Array] = field(default_factory=list)
     labels: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
 
@@ -70,8 +68,8 @@ class Track:
 class _Memory:
     """Where a track was last seen: its surface in the world, its last step, and how many pairs ago."""
 
-    points: Array
-    world_step: Array
+    points: Float64Array
+    world_step: Float64Array
     unseen: int = 0
 
 
@@ -86,7 +84,7 @@ class Tracker:
         self._tracks: dict[int, Track] = {}
         self._next = 1
         self.camera_times: list[float] = []
-        self.world_T_camera: list[Array] = []
+        self.world_T_camera: list[Float64Array] = []
         self._memories: dict[int, _Memory] = {}
 
     @property
@@ -151,7 +149,7 @@ class Tracker:
             self._tracks = {}
 
     def _link(
-        self, objects: list[ObjectMotion], surfaces: list[Array], camera: Camera, world_T_prev: Array
+        self, objects: list[ObjectMotion], surfaces: list[Float64Array], camera: Camera, world_T_prev: Float64Array
     ) -> list[int | None]:
         """The track of each object, None for a new one: the assignment of greatest overlap (Hungarian method)."""
         numbers = list(self._memories)
@@ -177,7 +175,12 @@ class Tracker:
         return links
 
     def _track(
-        self, number: int | None, obj: ObjectMotion, surface: Array, prev_time: float, world_T_prev: Array
+        self,
+        number: int | None,
+        obj: ObjectMotion,
+        surface: Float64Array,
+        prev_time: float,
+        world_T_prev: Float64Array,
     ) -> Track:
         """The track of that number, or a new one that starts where the object was in the previous frame."""
         if number is not None:
@@ -215,7 +218,7 @@ class Tracker:
             del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
 
 
-def footprint_overlap(a: Array, b: Array, camera: Camera) -> float:
+def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera) -> float:
     """Intersection over union of the image cells that two sets of points (N, 3), camera frame, fall into."""
     cell = camera.width / CELLS
     footprints = []
@@ -226,7 +229,7 @@ def footprint_overlap(a: Array, b: Array, camera: Camera) -> float:
     return len(footprints[0] & footprints[1]) / union if union else 0.0
 
 
-def _surface(frame: RgbdFrame, mask: NDArray[np.bool_]) -> Array:
+def _surface(frame: RgbdFrame, mask: BoolMask) -> Float64Array:
     """(N, 3) points of a mask, camera frame, thinned evenly."""
     rows, columns = np.nonzero(mask & frame.valid)
     if len(rows) > MAX_POINTS:

@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.storage import files
 from objectflow.tracking.tracker import Track, Tracker
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 TRACKS = "tracks.json"
 TRAJECTORIES = "trajectories"
-STILL = 1e-9
+STATIC_TOLERANCE = 1e-9
 
 
 def write_tracks(folder: Path, tracker: Tracker) -> None:
@@ -32,7 +30,7 @@ def write_tracks(folder: Path, tracker: Tracker) -> None:
         StorageError: the disk refused.
     """
     trajectories: dict[str, str] = {}
-    if any(np.abs(pose - np.eye(4)).max() > STILL for pose in tracker.world_T_camera):
+    if any(np.abs(pose - np.eye(4)).max() > STATIC_TOLERANCE for pose in tracker.world_T_camera):
         trajectories["camera.txt"] = tum_lines(tracker.camera_times, tracker.world_T_camera)
     for track in tracker.tracks:
         trajectories[f"object_{track.id:03d}.txt"] = tum_lines(track.times, track.world_T_object)
@@ -43,7 +41,7 @@ def write_tracks(folder: Path, tracker: Tracker) -> None:
     files.write_text(folder / TRACKS, json.dumps(content, indent=2) + "\n")
 
 
-def tum_lines(times: Sequence[float], poses: Sequence[Array]) -> str:
+def tum_lines(times: Sequence[float], poses: Sequence[Float64Array]) -> str:
     """`timestamp tx ty tz qx qy qz qw` a line, as the TUM RGB-D benchmark's tools read trajectories.
 
     Args:

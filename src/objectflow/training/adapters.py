@@ -8,17 +8,17 @@ from typing import Any
 from torch import Tensor, nn
 
 from objectflow.methods.rigidmatch.decoding import output_to_motion, select
-from objectflow.methods.sceneflownet.decoding import dense_to_motion
+from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.motion import SceneMotion
-from objectflow.networks import DenseMotion, SceneFlowNet
-from objectflow.networks.rigidmatch import RigidOutput
+from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
+from objectflow.networks.rigidmatch import RigidMatchOutput
 from objectflow.networks.weights import Network
 from objectflow.training.recipe import Recipe
-from objectflow.training.rigidmatch_losses import rigid_losses
-from objectflow.training.sceneflownet_losses import compute_losses
+from objectflow.training.rigidmatch_losses import rigidmatch_losses
+from objectflow.training.sceneflownet_losses import sceneflownet_losses
 from objectflow.training.step import Prepared
 
-Output = tuple[DenseMotion, Tensor | None] | RigidOutput
+Output = tuple[SceneFlowNetOutput, Tensor | None] | RigidMatchOutput
 """Of `trained_form`."""
 
 
@@ -29,7 +29,7 @@ class WithCorrelation(nn.Module):
         super().__init__()
         self.network = network
 
-    def forward(self, *images: Tensor) -> tuple[DenseMotion, Tensor | None]:
+    def forward(self, *images: Tensor) -> tuple[SceneFlowNetOutput, Tensor | None]:
         """See `SceneFlowNet.predict`."""
         return self.network.predict(*images)
 
@@ -39,22 +39,22 @@ def trained_form(network: Network) -> nn.Module:
     return WithCorrelation(network) if isinstance(network, SceneFlowNet) else network
 
 
-def numbers_of(output: Any) -> Iterator[Tensor]:
+def tensors_of(output: Any) -> Iterator[Tensor]:
     """All tensors with gradient in an output."""
     for one in output:
         if isinstance(one, Tensor):
             if one.requires_grad:
                 yield one
         elif one is not None:
-            yield from numbers_of(one)
+            yield from tensors_of(one)
 
 
 def losses_of(output: Output, prepared: Prepared, recipe: Recipe) -> dict[str, Tensor]:
     """Every term without gradient, unweighted; and "total", weighted, with gradient."""
-    if isinstance(output, RigidOutput):
-        return rigid_losses(output, prepared, recipe.rigid.stride, recipe.rigid_loss)
+    if isinstance(output, RigidMatchOutput):
+        return rigidmatch_losses(output, prepared, recipe.rigid.stride, recipe.rigid_loss)
     maps, correlation = output
-    return compute_losses(
+    return sceneflownet_losses(
         maps,
         prepared.targets,
         prepared.points,
@@ -67,7 +67,7 @@ def losses_of(output: Output, prepared: Prepared, recipe: Recipe) -> dict[str, T
 def motion_of(output: Output, prepared: Prepared, recipe: Recipe, index: int) -> SceneMotion:
     """What an output says about one pair of its batch."""
     points = prepared.points[index : index + 1]
-    if isinstance(output, RigidOutput):
+    if isinstance(output, RigidMatchOutput):
         return output_to_motion(select(output, index), points)
-    maps = DenseMotion(*(one[index : index + 1] for one in output[0]))
-    return dense_to_motion(maps, points, grouping=recipe.grouping)
+    maps = SceneFlowNetOutput(*(one[index : index + 1] for one in output[0]))
+    return decode(maps, points, grouping=recipe.grouping)

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from objectflow.training.validation import Validation
 
 
-class Watch:
+class Callback:
     """Looks on and does nothing."""
 
     def start(self, step: int, total: int | None) -> None:
@@ -31,7 +31,7 @@ class Watch:
         """The run ends."""
 
 
-class Terminal(Watch):
+class Terminal(Callback):
     """A bar with pairs per second, and a line a validation; without a terminal, a line a minute or so instead."""
 
     def __init__(self, *, every_seconds: float = 60.0) -> None:
@@ -42,13 +42,13 @@ class Terminal(Watch):
         self._every, self._last, self._total = every_seconds, float("-inf"), ""
 
     def start(self, step: int, total: int | None) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         self._total = "" if total is None else f"/{total}"
         self._bar.start()
         self._bar.update(self._task, description=f"step {step}{self._total}")
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         text = f"step {step}{self._total}  loss {line['losses']['total']:.3f}  {line['pairs_per_second']:.1f} pairs/s"
         self._bar.update(self._task, completed=progress, description=text)
         if not self._console.is_terminal and line["seconds"] - self._last >= self._every:
@@ -56,7 +56,7 @@ class Terminal(Watch):
             self._console.print(text)
 
     def validated(self, step: int, result: Validation, best: bool) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         self._console.print(
             f"step {step}: {result.pairs} validation pairs: loss {result.losses['total']:.3f}, masked EPE "
             f"{result.epe_cm:.2f} cm (zero flow {result.zero_epe_cm:.2f}), mean F {result.mean_f:.3f}, "
@@ -64,15 +64,15 @@ class Terminal(Watch):
         )
 
     def note(self, text: str) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         self._console.print(text, markup=False)
 
     def close(self) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         self._bar.stop()
 
 
-class TensorBoard(Watch):
+class TensorBoard(Callback):
     """Writes the same numbers for TensorBoard, where it is installed; otherwise does nothing."""
 
     def __init__(self, folder: Path) -> None:
@@ -80,7 +80,7 @@ class TensorBoard(Watch):
         self._writer: Any = None
 
     def start(self, step: int, total: int | None) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         try:
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
@@ -89,17 +89,17 @@ class TensorBoard(Watch):
         self._writer = SummaryWriter(str(self._folder), purge_step=step)
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         self._write(step, "train", {**line["losses"], "learning_rate": line["learning_rate"]})
 
     def validated(self, step: int, result: Validation, best: bool) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         values = result.to_dict()
         losses = values.pop("losses")
         self._write(step, "validation", {**losses, **values})
 
     def close(self) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         if self._writer is not None:
             self._writer.close()
 
@@ -109,33 +109,33 @@ class TensorBoard(Watch):
                 self._writer.add_scalar(f"{group}/{name}", value, step)
 
 
-class Several(Watch):
+class Several(Callback):
     """Hands everything on to each of some."""
 
-    def __init__(self, *watches: Watch) -> None:
+    def __init__(self, *watches: Callback) -> None:
         self._watches = watches
 
     def start(self, step: int, total: int | None) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         for one in self._watches:
             one.start(step, total)
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         for one in self._watches:
             one.line(step, progress, line)
 
     def validated(self, step: int, result: Validation, best: bool) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         for one in self._watches:
             one.validated(step, result, best)
 
     def note(self, text: str) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         for one in self._watches:
             one.note(text)
 
     def close(self) -> None:
-        """See `Watch`."""
+        """See `Callback`."""
         for one in self._watches:
             one.close()

@@ -17,7 +17,7 @@ from torch import Tensor
 from objectflow.errors import TrainingError
 from objectflow.networks.weights import Network, load_network, save_weights
 from objectflow.storage import files
-from objectflow.training.ema import AveragedWeights
+from objectflow.training.ema import ExponentialMovingAverage
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
 _KEY = "objectflow"
@@ -25,7 +25,7 @@ _PREFIX = "step-"
 
 
 @dataclass(frozen=True)
-class Position:
+class TrainState:
     """How far a run is.
 
     Attributes:
@@ -43,8 +43,8 @@ def save_checkpoint(
     root: Path,
     network: Network,
     optimizer: torch.optim.Optimizer,
-    mean: AveragedWeights | None,
-    position: Position,
+    mean: ExponentialMovingAverage | None,
+    position: TrainState,
     *,
     keep: int,
 ) -> Path:
@@ -90,8 +90,8 @@ def remove_leftovers(root: Path) -> None:
 
 
 def load_checkpoint(
-    path: Path, network: Network, optimizer: torch.optim.Optimizer, mean: AveragedWeights | None
-) -> Position:
+    path: Path, network: Network, optimizer: torch.optim.Optimizer, mean: ExponentialMovingAverage | None
+) -> TrainState:
     """Fill network, optimiser and mean, exactly as they were.
 
     Raises:
@@ -106,7 +106,7 @@ def load_checkpoint(
             header = json.loads((opened.metadata() or {})[_KEY])
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 - not a mapping
         mean_steps = int(header.pop("mean_steps"))
-        position = Position(**header)
+        position = TrainState(**header)
     except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError) as error:
         raise TrainingError(f"{file}: damaged, remove {path} to go on from the one before: {error}") from error
     _fill_optimizer(file, network, optimizer, tensors)

@@ -10,12 +10,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import StorageError
 from objectflow.storage import files
+from objectflow.typing import Float64Array, UInt8Array
 from objectflow.view import canvas
-from objectflow.view.canvas import Image
 from objectflow.view.colors import Rgb
 
 WIDTH, HEIGHT = 760, 560
@@ -54,7 +53,7 @@ def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = 
     files.write_bytes(path, data.tobytes())
 
 
-def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> Image:
+def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Array:
     """The picture: (HEIGHT, 3 WIDTH, 3) uint8; one panel each for loss, end point error, and segmentation."""
     train = [line for line in lines if line["kind"] == "train"]
     validation = [line for line in lines if line["kind"] == "validation"]
@@ -87,9 +86,9 @@ def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> Image:
     return np.concatenate(panels, axis=1)
 
 
-def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) -> Image:
+def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) -> UInt8Array:
     """One diagram over steps: (HEIGHT, WIDTH, 3) uint8. Without points, it says so."""
-    image: Image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    image: UInt8Array = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     canvas.write(image, title, _LEFT, 34, 26, _INK, bold=True)
     xs = [x for one in series for x, _ in one.points]
     ys = [y for one in series for _, y in one.points if y > 0 or not logarithmic]
@@ -131,7 +130,7 @@ def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) ->
     return image
 
 
-def _legend(image: Image, series: Sequence[Series]) -> None:
+def _legend(image: UInt8Array, series: Sequence[Series]) -> None:
     """Names above the diagram, beside a piece of their lines."""
     x = float(_LEFT)
     for one in series:
@@ -156,7 +155,7 @@ def smoothed(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]
     """The mean over a window around each point, shorter towards the ends."""
     if not points:
         return []
-    values: NDArray[np.float64] = np.array(points)
+    values: Float64Array = np.array(points)
     half = int(len(points) * _SMOOTH / 2)
     sums = np.concatenate([[0.0], np.cumsum(values[:, 1])])
     index = np.arange(len(points))

@@ -9,7 +9,7 @@ import torch
 from objectflow.networks.weights import Network
 
 
-class AveragedWeights:
+class ExponentialMovingAverage:
     """The exponential mean of a network's parameters and running statistics.
 
     Attributes:

@@ -12,7 +12,7 @@ from typing import Any
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
-class Stopping:
+class GracefulStop:
     """While entered, takes note of a signal instead of dying from it; a second one acts as it always would.
 
     Attributes:
@@ -23,7 +23,7 @@ class Stopping:
         self.signal = 0
         self._before: dict[signal.Signals, Any] = {}
 
-    def __enter__(self) -> Stopping:
+    def __enter__(self) -> GracefulStop:
         # Python handles signals in its main thread alone; a run in another one is stopped by whoever started it.
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._note) for number in _SIGNALS}

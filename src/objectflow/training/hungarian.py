@@ -39,7 +39,7 @@ def mask_costs(logits: Tensor, masks: Tensor) -> MaskCosts:
 
 
 @torch.no_grad()
-def assign(costs: Tensor, present: Tensor) -> Tensor:
+def assign_queries(costs: Tensor, present: Tensor) -> Tensor:
     """The cheapest one-to-one assignment of queries to objects (Kuhn 1955).
 
     Args:

@@ -24,12 +24,12 @@ from objectflow.errors import TrainingError
 from objectflow.networks.weights import Network, save_weights
 from objectflow.storage.files import hash_file
 from objectflow.training.adapters import losses_of, trained_form
-from objectflow.training.callbacks import Watch
-from objectflow.training.checkpoint import Position, checkpoints, load_checkpoint, save_checkpoint
+from objectflow.training.callbacks import Callback
+from objectflow.training.checkpoint import TrainState, checkpoints, load_checkpoint, save_checkpoint
 from objectflow.training.curves import write_curve
-from objectflow.training.ema import AveragedWeights
-from objectflow.training.graceful_stop import Stopping
-from objectflow.training.metric_buffer import GRADIENT, Window
+from objectflow.training.ema import ExponentialMovingAverage
+from objectflow.training.graceful_stop import GracefulStop
+from objectflow.training.metric_buffer import GRADIENT, MetricBuffer
 from objectflow.training.parallel import Process, joined
 from objectflow.training.prefetch import on_device
 from objectflow.training.recipe import Recipe
@@ -40,7 +40,7 @@ from objectflow.training.validation import Validation, validate
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainJob:
     """What is asked for.
 
     Attributes:
@@ -72,7 +72,7 @@ class Job:
 class Outcome:
     """How a run ended: how far it came, whether that was its end, and the signal (0 for none) that stopped it."""
 
-    position: Position
+    position: TrainState
     finished: bool
     signal: int = 0
 
@@ -81,17 +81,17 @@ class Outcome:
 class Run:
     """A run in progress; `folder` is None but in the first process."""
 
-    job: Job
+    job: TrainJob
     process: Process
-    watch: Watch
+    watch: Callback
     folder: RunFolder | None
     train: Batches
     val: Batches | None
     data_hash: str
     network: Network
     optimizer: torch.optim.Optimizer
-    mean: AveragedWeights | None
-    position: Position
+    mean: ExponentialMovingAverage | None
+    position: TrainState
     started: float = field(default_factory=time.monotonic)
 
     @property
@@ -107,7 +107,7 @@ class Run:
         return min(1.0, max(by_steps, by_time))
 
 
-def train(job: Job, watch: Watch | None = None) -> Outcome:
+def train(job: TrainJob, watch: Callback | None = None) -> Outcome:
     """Train a network as asked, or go on with it; see `Recipe` for how, and `RunFolder` for what is written.
 
     Args:
@@ -128,18 +128,18 @@ def train(job: Job, watch: Watch | None = None) -> Outcome:
         batches, val = _open_data(job, process, manifest)
         network = build_network(job.recipe, process, backbone=job.backbone, start=job.start)
         optimizer = build_optimizer(job.recipe, network, process.device)
-        mean = AveragedWeights(network, job.recipe.ema_decay) if job.recipe.ema_decay else None
+        mean = ExponentialMovingAverage(network, job.recipe.ema_decay) if job.recipe.ema_decay else None
         folder = None
         if process.first:
             folder = stack.enter_context(opened(job.out, _settings(job, process, manifest, others), resume=job.resume))
         process.wait()
-        position = Position()
+        position = TrainState()
         found = checkpoints(job.out / CHECKPOINTS) if job.resume else []
         if found:
             position = load_checkpoint(found[-1], network, optimizer, mean)
         if folder is not None:
             folder.cut(position.step)
-        watch = watch if watch is not None and process.first else Watch()
+        watch = watch if watch is not None and process.first else Callback()
         stack.callback(watch.close)
         data_hash = " + ".join(one.sha256 for one in (manifest, *others))
         run = Run(job, process, watch, folder, batches, val, data_hash, network, optimizer, mean, position)
@@ -147,18 +147,18 @@ def train(job: Job, watch: Watch | None = None) -> Outcome:
             return Outcome(position, finished=True)
         if val is None:
             watch.note("no validation: the last weights are kept, not the best")
-        with Stopping() as stopping, contextlib.closing(_feed(run)) as feed:
+        with GracefulStop() as stopping, contextlib.closing(_feed(run)) as feed:
             return _loop(run, feed, stopping)
 
 
-def _loop(run: Run, feed: Iterator[Batch], stopping: Stopping) -> Outcome:
+def _loop(run: Run, feed: Iterator[Batch], stopping: GracefulStop) -> Outcome:
     recipe, process, device = run.job.recipe, run.process, run.process.device
     with stopping.kept_from_children():
         first = next(feed)  # starts the processes that read
     trial = prepare(first, recipe, step_generator(recipe.seed, run.position.step, process.rank, device))
     forward = process.shared(compiled(trained_form(run.network), recipe, trial.images, device, run.watch.note))
     parameters = list(run.network.parameters())
-    window = Window(process)
+    window = MetricBuffer(process)
     before = run.position.seconds
     saved = lapped = time.monotonic()
     run.watch.start(run.position.step, run.total)
@@ -223,7 +223,7 @@ def _fit_to_device(recipe: Recipe, device: torch.device) -> None:
             torch.set_float32_matmul_precision("high")
 
 
-def _open_data(job: Job, process: Process, manifest: Manifest) -> tuple[Batches, Batches | None]:
+def _open_data(job: TrainJob, process: Process, manifest: Manifest) -> tuple[Batches, Batches | None]:
     recipe = job.recipe
     if recipe.batch_size % process.world_size:
         raise TrainingError(
@@ -252,7 +252,7 @@ def _feed(run: Run) -> Generator[Batch, None, None]:
                 one.close()
 
 
-def _settings(job: Job, process: Process, manifest: Manifest, others: Sequence[Manifest]) -> dict[str, Any]:
+def _settings(job: TrainJob, process: Process, manifest: Manifest, others: Sequence[Manifest]) -> dict[str, Any]:
     """Everything that the weights depend on."""
     hashes: dict[str, Any] = {
         name: _hash(part) for name, part in manifest.parts.items() if name in ("train", job.validate_on)

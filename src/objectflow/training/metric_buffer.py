@@ -14,7 +14,7 @@ GRADIENT = "gradient"
 """The name under which the gradient's norm is checked and logged."""
 
 
-class Window:
+class MetricBuffer:
     """Collects steps; `read` empties it."""
 
     def __init__(self, process: Process) -> None:

@@ -14,8 +14,8 @@ from objectflow.methods.sceneflownet.grouping import GroupingSettings
 from objectflow.networks import NetworkSettings
 from objectflow.networks.rigidmatch import RigidMatchSettings
 from objectflow.networks.rigidmatch.settings import SMALL
-from objectflow.training.rigidmatch_loss_settings import RigidLossSettings
-from objectflow.training.sceneflownet_losses import LossSettings
+from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
+from objectflow.training.sceneflownet_losses import SceneFlowNetLossSettings
 
 Variant = Literal["s", "c", "c-vl", "rigidmatch"]
 
@@ -83,9 +83,9 @@ class Recipe:
     workers: int = 2
     """Processes that read data ahead; 0 reads in between steps."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
-    loss: LossSettings = field(default_factory=LossSettings)
+    loss: SceneFlowNetLossSettings = field(default_factory=SceneFlowNetLossSettings)
     rigid: RigidMatchSettings = field(default_factory=RigidMatchSettings)
-    rigid_loss: RigidLossSettings = field(default_factory=RigidLossSettings)
+    rigid_loss: RigidMatchLossSettings = field(default_factory=RigidMatchLossSettings)
     augment: AugmentSettings = field(default_factory=AugmentSettings)
 
     def __post_init__(self) -> None:
@@ -125,7 +125,7 @@ class Recipe:
         return dataclasses.replace(self.network, correlation=self.variant != "s")
 
     @property
-    def loss_settings(self) -> LossSettings:
+    def loss_settings(self) -> SceneFlowNetLossSettings:
         """The losses of this variant."""
         return dataclasses.replace(self.loss, vl=self.variant == "c-vl")
 
@@ -183,7 +183,7 @@ _NARROW = dataclasses.replace(
 )
 """Half the widths, and less where images are large; the patch spans 64 pixels each way, of 160."""
 
-_FAST = LossSettings(
+_FAST = SceneFlowNetLossSettings(
     mask=10.0, centrality=4.0, rotation=1.0, translation=60.0, center=100.0, flow=20.0, radius=10.0, match=3.0
 )
 """With the paper's weights, T's share of the gradient drowns the mask's for the first thousand steps of a short run,

@@ -1,4 +1,4 @@
-"""How much each term of `rigid_losses` weighs."""
+"""How much each term of `rigidmatch_losses` weighs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from objectflow.errors import MethodError
 
 
 @dataclass(frozen=True)
-class RigidLossSettings:
-    """Weights of the terms, by their names in `rigid_losses`.
+class RigidMatchLossSettings:
+    """Weights of the terms, by their names in `rigidmatch_losses`.
 
     Raises:
         MethodError: a weight that is negative or not finite.

@@ -6,11 +6,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from objectflow.networks.rigidmatch.outputs import RigidOutput
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import mix_neighbors
-from objectflow.training.hungarian import assign, mask_costs
-from objectflow.training.rigidmatch_loss_settings import RigidLossSettings
-from objectflow.training.rigidmatch_targets import Cells, Truth, make_truth
+from objectflow.training.hungarian import assign_queries, mask_costs
+from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
+from objectflow.training.rigidmatch_targets import Cells, RigidMatchTargets, make_rigidmatch_targets
 from objectflow.training.step import Prepared
 
 _RIGHT = 0.02
@@ -21,8 +21,8 @@ _NEAR = 0.04
 """Metres: how fast a vote's worth as a seed falls with its error."""
 
 
-def rigid_losses(
-    output: RigidOutput, prepared: Prepared, stride: int, settings: RigidLossSettings | None = None
+def rigidmatch_losses(
+    output: RigidMatchOutput, prepared: Prepared, stride: int, settings: RigidMatchLossSettings | None = None
 ) -> dict[str, Tensor]:
     """Every term of the loss, and their weighted sum.
 
@@ -37,9 +37,9 @@ def rigid_losses(
     Returns:
         Scalars without gradient, unweighted, named as the weights; and "total", weighted, with gradient.
     """
-    settings = settings or RigidLossSettings()
+    settings = settings or RigidMatchLossSettings()
     with torch.autocast(prepared.points.device.type, enabled=False):
-        truth = make_truth(prepared, stride, settings.background)
+        truth = make_rigidmatch_targets(prepared, stride, settings.background)
         output = cropped(output, truth)
         terms = {
             "match": match_term(output, truth),
@@ -52,7 +52,7 @@ def rigid_losses(
     return {**{name: term.detach() for name, term in terms.items()}, "total": total}
 
 
-def cropped(output: RigidOutput, truth: Truth) -> RigidOutput:
+def cropped(output: RigidMatchOutput, truth: RigidMatchTargets) -> RigidMatchOutput:
     """The output without the cells that lie beyond the image's edge, but for `scores` and what belongs to them."""
     height, width = truth.owner.shape[-2:]
     dense = ("match", "window_logits", "window_center", "reliability", "foreground", "seed", "votes", "masks")
@@ -60,7 +60,7 @@ def cropped(output: RigidOutput, truth: Truth) -> RigidOutput:
     return output._replace(**changes, upsampling=output.upsampling[..., :height, :width])
 
 
-def match_term(output: RigidOutput, truth: Truth) -> Tensor:
+def match_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """-log of the true cell's probability over rows and over columns, or of 'hidden': the mean over cells."""
     height, width = output.coarse_match.shape[-2:]
     index, share = _padded(truth.coarse.cell, truth.coarse, height, width), truth.coarse.share
@@ -86,7 +86,7 @@ def _padded(index: Tensor, cells: Cells, height: int, width: int) -> Tensor:
     return F.pad(moved, (0, width - index.shape[-1], 0, height - index.shape[-2]))
 
 
-def window_term(output: RigidOutput, truth: Truth) -> Tensor:
+def window_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """-log of the true cell's probability in the last window, over cells whose match lies in it."""
     logits = output.window_logits
     if not logits.shape[1]:
@@ -103,7 +103,7 @@ def window_term(output: RigidOutput, truth: Truth) -> Tensor:
     return _mean(-(share * logs).sum(1) / share.sum(1).clamp_min(0.5), truth.fine_weight * known)
 
 
-def place_term(output: RigidOutput, truth: Truth) -> Tensor:
+def place_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """Metres from the expected to the true place, where the previous frame shows it; the mean of both grids."""
     height, width = truth.coarse_weight.shape[-2:]
     coarse = _length(output.coarse_match[..., :height, :width] - truth.coarse_place)
@@ -113,7 +113,7 @@ def place_term(output: RigidOutput, truth: Truth) -> Tensor:
     )
 
 
-def reliability_term(output: RigidOutput, truth: Truth) -> Tensor:
+def reliability_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """Cross entropy of "this match is within 2 cm of the truth"."""
     error = _length(output.match.detach() - truth.fine_place)
     right = ((error < _RIGHT) & truth.fine.seen).float()
@@ -121,7 +121,7 @@ def reliability_term(output: RigidOutput, truth: Truth) -> Tensor:
     return _mean(entropy, truth.fine_weight)
 
 
-def vote_terms(output: RigidOutput, truth: Truth) -> dict[str, Tensor]:
+def vote_terms(output: RigidMatchOutput, truth: RigidMatchTargets) -> dict[str, Tensor]:
     """Votes' errors on objects, how sure to be of them, and foreground everywhere."""
     inside = (truth.owner >= 0).float()
     error = _length(output.votes[:, :3] - truth.votes[:, :3]) + _length(output.votes[:, 3:] - truth.votes[:, 3:])
@@ -135,14 +135,14 @@ def vote_terms(output: RigidOutput, truth: Truth) -> dict[str, Tensor]:
 
 
 def object_terms(
-    output: RigidOutput, truth: Truth, prepared: Prepared, settings: RigidLossSettings
+    output: RigidMatchOutput, truth: RigidMatchTargets, prepared: Prepared, settings: RigidMatchLossSettings
 ) -> dict[str, Tensor]:
     """Queries against objects: the assignment of every decoder layer, and what follows from it."""
     masks = truth.masks.flatten(2)
     present = masks.sum(2) > 0
     costs = mask_costs(output.masks.flatten(3), masks)
     total = settings.mask * costs.cross_entropy + settings.dice * costs.dice
-    query = assign(total - settings.objectness * output.objectness.sigmoid()[..., None], present)
+    query = assign_queries(total - settings.objectness * output.objectness.sigmoid()[..., None], present)
     found = query >= 0
     # Rows without an object read some query's numbers and weigh nothing.
     at = query.clamp_min(0)
@@ -167,7 +167,7 @@ def _of(costs: Tensor, query: Tensor) -> Tensor:
     return costs.gather(2, query[:, :, None])[:, :, 0]
 
 
-def _pixel_term(output: RigidOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
+def _pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
     """Cross entropy and dice of the matched masks at every pixel."""
     K = query.shape[1]
     chosen = output.masks[-1].gather(1, query[..., None, None].expand(-1, -1, *output.masks.shape[-2:]))
@@ -181,7 +181,7 @@ def _pixel_term(output: RigidOutput, prepared: Prepared, query: Tensor, kept: Te
     return _mean(entropy + dice, kept)
 
 
-def flow_term(output: RigidOutput, truth: Truth, query: Tensor, kept: Tensor) -> Tensor:
+def flow_term(output: RigidMatchOutput, truth: RigidMatchTargets, query: Tensor, kept: Tensor) -> Tensor:
     """Metres between the flow of each matched query's motion and the true one: mean of the objects' means."""
     batch, K = query.shape
     owner = truth.owner.clamp_min(0).flatten(1)

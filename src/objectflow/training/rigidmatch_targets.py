@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from objectflow.alignment.moved import STILL
+from objectflow.alignment.moved import STATIC_DISPLACEMENT
 from objectflow.training.step import Prepared
 
 _LEAST_SHARE = 0.1
@@ -34,7 +34,7 @@ class Cells(NamedTuple):
     row: Tensor
 
 
-class Truth(NamedTuple):
+class RigidMatchTargets(NamedTuple):
     """Of a batch.
 
     Attributes:
@@ -65,7 +65,7 @@ class Truth(NamedTuple):
     moves: Tensor
 
 
-def make_truth(prepared: Prepared, stride: int, background: float) -> Truth:
+def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) -> RigidMatchTargets:
     """The truth of a batch for grids of `stride` and half of it; cells beyond the image's edge do not exist.
 
     Args:
@@ -85,7 +85,7 @@ def make_truth(prepared: Prepared, stride: int, background: float) -> Truth:
     lengths = targets.flow[..., ::fine, ::fine].norm(dim=1)
     counted = masks * measured[:, None, ::fine, ::fine]
     mean_length = (counted * lengths[:, None]).sum((2, 3)) / counted.sum((2, 3)).clamp_min(1)
-    return Truth(
+    return RigidMatchTargets(
         coarse=true_cells(prepared, stride),
         fine=true_cells(prepared, fine),
         coarse_place=place[..., ::stride, ::stride],
@@ -98,7 +98,7 @@ def make_truth(prepared: Prepared, stride: int, background: float) -> Truth:
         masks=masks,
         votes=torch.cat([targets.center, targets.center + targets.translation], dim=1)[..., ::fine, ::fine],
         in_both=prepared.batch.table.in_both,
-        moves=mean_length > STILL,
+        moves=mean_length > STATIC_DISPLACEMENT,
     )
 
 

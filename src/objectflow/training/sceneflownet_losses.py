@@ -18,7 +18,7 @@ from torch import Tensor
 from objectflow.dataset.targets import Targets
 from objectflow.errors import MethodError
 from objectflow.methods.sceneflownet.grouping import trajectory_feature
-from objectflow.networks.sceneflownet.outputs import DenseMotion, scene_flow
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput, scene_flow
 from objectflow.training.sceneflownet_match_loss import match_loss
 
 _SLOTS = 256
@@ -28,8 +28,8 @@ _FREE = 1 / 5
 
 
 @dataclass(frozen=True)
-class LossSettings:
-    """Weights of the terms, by their names in `compute_losses`, and their forms; the defaults are the paper's.
+class SceneFlowNetLossSettings:
+    """Weights of the terms, by their names in `sceneflownet_losses`, and their forms; the defaults are the paper's.
 
     Raises:
         MethodError: a weight that is negative or not finite.
@@ -75,11 +75,11 @@ class LossSettings:
                 )
 
 
-def compute_losses(
-    output: DenseMotion,
+def sceneflownet_losses(
+    output: SceneFlowNetOutput,
     targets: Targets,
     points: Tensor,
-    settings: LossSettings | None = None,
+    settings: SceneFlowNetLossSettings | None = None,
     *,
     correlation: Tensor | None = None,
     matches: Tensor | None = None,
@@ -99,12 +99,12 @@ def compute_losses(
         matches: (B, 2, H, W) from `previous_pixels`, likewise.
 
     Returns:
-        Scalars without gradient, unweighted, named as the weights of `LossSettings` (without "variance" and
+        Scalars without gradient, unweighted, named as the weights of `SceneFlowNetLossSettings` (without "variance" and
         "violation" where `vl` is off); and "total", weighted, with gradient. All finite where no pixel is foreground.
     """
-    settings = settings or LossSettings()
+    settings = settings or SceneFlowNetLossSettings()
     with torch.autocast(points.device.type, enabled=False):
-        output = DenseMotion(*(one.float() for one in output))
+        output = SceneFlowNetOutput(*(one.float() for one in output))
         terms = _terms(output, targets, points.float(), settings)
         if settings.match > 0 and correlation is not None and matches is not None:
             terms["match"] = match_loss(correlation.float(), matches, targets.mask & (points[:, 2] > 0))
@@ -112,7 +112,9 @@ def compute_losses(
     return {**{name: term.detach() for name, term in terms.items()}, "total": total}
 
 
-def _terms(output: DenseMotion, targets: Targets, points: Tensor, settings: LossSettings) -> dict[str, Tensor]:
+def _terms(
+    output: SceneFlowNetOutput, targets: Targets, points: Tensor, settings: SceneFlowNetLossSettings
+) -> dict[str, Tensor]:
     inside = targets.mask
     measured = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
     # No NaN may enter, not even where its weight is 0: its gradient would be NaN.

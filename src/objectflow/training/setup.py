@@ -16,7 +16,7 @@ from objectflow.networks import SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.weights import Network, load_network
-from objectflow.training.adapters import numbers_of
+from objectflow.training.adapters import tensors_of
 from objectflow.training.parallel import Process, normalised_together
 from objectflow.training.recipe import Recipe
 
@@ -96,7 +96,7 @@ def compiled(
         candidate = torch.compile(network)
         with precision(recipe, device):
             output = candidate(*images)
-        torch.stack([one.float().square().mean() for one in numbers_of(output)]).sum().backward()  # type: ignore[no-untyped-call]
+        torch.stack([one.float().square().mean() for one in tensors_of(output)]).sum().backward()  # type: ignore[no-untyped-call]
         out = candidate
     except Exception as error:
         reason = (str(error).splitlines() or [""])[0]

@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from objectflow.typing import LabelImage, UInt8Array
 from objectflow.view.colors import Rgb
 
-Image = NDArray[np.uint8]
 Point = tuple[float, float]
 
 _SHIFT = 4
 """OpenCV's fixed-point bits: 1/16 pixel."""
 
 
-def blend(image: Image, color: Rgb, alpha: NDArray[Any]) -> Image:
+def blend(image: UInt8Array, color: Rgb, alpha: NDArray[Any]) -> UInt8Array:
     """Lay a colour over an (H, W, 3) image with an (H, W) opacity in 0..1."""
     opacity = np.asarray(alpha, dtype=np.float32)[..., None]
     mixed = image.astype(np.float32)
@@ -25,23 +25,23 @@ def blend(image: Image, color: Rgb, alpha: NDArray[Any]) -> Image:
     return np.rint(mixed).astype(np.uint8)
 
 
-def polygon(image: Image, points: list[Point], color: Rgb) -> None:
+def polygon(image: UInt8Array, points: list[Point], color: Rgb) -> None:
     """Fill a convex polygon."""
     cv2.fillConvexPoly(image, _fixed(points), color, cv2.LINE_AA, _SHIFT)
 
 
-def line(image: Image, points: list[Point], color: Rgb, width: int) -> None:
+def line(image: UInt8Array, points: list[Point], color: Rgb, width: int) -> None:
     """Draw an open polyline."""
     cv2.polylines(image, [_fixed(points)], False, color, max(1, width), cv2.LINE_AA, _SHIFT)
 
 
-def disk(image: Image, center: Point, radius: float, color: Rgb) -> None:
+def disk(image: UInt8Array, center: Point, radius: float, color: Rgb) -> None:
     """Fill a circle."""
     x, y = _fixed([center])[0]
     cv2.circle(image, (int(x), int(y)), round(radius * 2**_SHIFT), color, -1, cv2.LINE_AA, _SHIFT)
 
 
-def arrow(image: Image, start: Point, end: Point, color: Rgb, width: float, edge: Rgb) -> None:
+def arrow(image: UInt8Array, start: Point, end: Point, color: Rgb, width: float, edge: Rgb) -> None:
     """Draw an arrow with a solid head and a rim in `edge` that keeps it readable on any ground."""
     a, b = np.array(start), np.array(end)
     length = float(np.linalg.norm(b - a))
@@ -72,7 +72,7 @@ def text_size(text: str, size: float, *, bold: bool = False) -> tuple[float, flo
 
 
 def write(
-    image: Image, text: str, left: float, baseline: float, size: float, color: Rgb, *, bold: bool = False
+    image: UInt8Array, text: str, left: float, baseline: float, size: float, color: Rgb, *, bold: bool = False
 ) -> None:
     """Write a line of text; `left` and `baseline` are where its first letter stands."""
     origin = (round(left), round(baseline))
@@ -102,5 +102,5 @@ def _stroke(size: float, bold: bool) -> int:
     return max(1, round(size / 16)) + int(bold)
 
 
-def _fixed(points: list[Point]) -> NDArray[np.int32]:
+def _fixed(points: list[Point]) -> LabelImage:
     return np.asarray(np.rint(np.array(points, dtype=np.float64) * 2**_SHIFT), dtype=np.int32)

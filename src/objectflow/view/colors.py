@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from objectflow.typing import UInt8Array
+
 Rgb = tuple[int, int, int]
 
 INK: Rgb = (33, 37, 41)
@@ -39,7 +41,7 @@ def object_color(object_id: int) -> Rgb:
     return round(red * 255), round(green * 255), round(blue * 255)
 
 
-def wheel(right: NDArray[Any], down: NDArray[Any]) -> NDArray[np.uint8]:
+def wheel(right: NDArray[Any], down: NDArray[Any]) -> UInt8Array:
     """Colour of a 2D displacement: hue = direction, strength = length; white at 0, full at length 1 and beyond.
 
     Args:
@@ -57,7 +59,7 @@ def wheel(right: NDArray[Any], down: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.rint(255 + (hue - 255) * length**0.8), dtype=np.uint8)
 
 
-def diverging(value: NDArray[Any]) -> NDArray[np.uint8]:
+def diverging(value: NDArray[Any]) -> UInt8Array:
     """Colour of a signed value: red at -1 and below, white at 0, blue at 1 and beyond; (...) -> (..., 3) uint8 RGB."""
     strength = np.clip(np.abs(value), 0, 1)[..., None] ** 0.8
     end = np.where((value < 0)[..., None], _RED, _BLUE)

@@ -6,10 +6,10 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.typing import BoolMask, Float64Array, UInt8Array
 from objectflow.view import canvas, colors
 from objectflow.view.colors import INK, NO_DEPTH
 
@@ -20,7 +20,7 @@ SMALLEST_RANGE = 0.01
 """Metres. Noise below it stays pale instead of filling the picture with colour."""
 
 
-def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> NDArray[np.uint8]:
+def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
     """Draw how every point moved from the previous frame to the current one.
 
     Both panels show the current frame's pixels, forward in time (the negative of `scene_flow`): on the left the
@@ -57,7 +57,7 @@ def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> NDArray[np.uint8]:
     return sheet
 
 
-def flow_range(moved: NDArray[np.float64]) -> float:
+def flow_range(moved: Float64Array) -> float:
     """The length in metres that gets the full colour: a round number above nearly all (N, 3) displacements."""
     lengths = np.linalg.norm(moved, axis=-1)
     # Objects may be a small part of the image: the percentile is of what moves at all.
@@ -69,9 +69,7 @@ def flow_range(moved: NDArray[np.float64]) -> float:
     return next(step * factor for factor in (1, 1.5, 2, 3, 4, 5, 6, 8, 10) if step * factor >= largest * 0.999)
 
 
-def _panel(
-    picture: NDArray[np.uint8], known: NDArray[np.bool_], color: NDArray[np.uint8], scale: int
-) -> NDArray[np.uint8]:
+def _panel(picture: UInt8Array, known: BoolMask, color: UInt8Array, scale: int) -> UInt8Array:
     brightness = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255
     shaded = picture * (0.72 + 0.28 * brightness[..., None])
     shaded[~known] = np.array(NO_DEPTH) * 0.92
@@ -81,7 +79,7 @@ def _panel(
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
-def _draw_wheel(sheet: canvas.Image, x: float, y: float, radius: float, full: float, unit: float) -> None:
+def _draw_wheel(sheet: UInt8Array, x: float, y: float, radius: float, full: float, unit: float) -> None:
     """The wheel of directions, and what its rim stands for."""
     half = math.ceil(radius) + 2
     cx, cy = round(x), round(y)
@@ -95,7 +93,7 @@ def _draw_wheel(sheet: canvas.Image, x: float, y: float, radius: float, full: fl
     canvas.write(sheet, f"rim = {_centimetres(full)} or more", left, y + 17 * unit, 15 * unit, INK)
 
 
-def _draw_no_depth(sheet: canvas.Image, right: float, y: float, unit: float) -> None:
+def _draw_no_depth(sheet: UInt8Array, right: float, y: float, unit: float) -> None:
     words = "no depth"
     width, height = canvas.text_size(words, 15 * unit)
     left = right - width
@@ -108,7 +106,7 @@ def _draw_no_depth(sheet: canvas.Image, right: float, y: float, unit: float) -> 
     canvas.write(sheet, words, left, y + height / 2, 15 * unit, INK)
 
 
-def _draw_bar(sheet: canvas.Image, left: int, top: float, width: int, full: float, unit: float) -> None:
+def _draw_bar(sheet: UInt8Array, left: int, top: float, width: int, full: float, unit: float) -> None:
     """The bar from towards the camera to away from it, with ticks."""
     start, end = left + round(60 * unit), left + width - round(60 * unit)
     y0, y1 = round(top), round(top + 20 * unit)

@@ -6,12 +6,12 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import BoolMask, Float32Array, UInt8Array
 from objectflow.view import canvas
 from objectflow.view.colors import INK, PAPER, Rgb, object_color
 
@@ -19,7 +19,7 @@ TARGET_WIDTH = 960
 """Pixels. Smaller images are enlarged by a whole factor to at least this, so that text and outlines are crisp."""
 
 
-def draw_overlay(curr: RgbdFrame, motion: SceneMotion) -> NDArray[np.uint8]:
+def draw_overlay(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
     """Draw the objects over the current frame.
 
     Moving objects are filled, with an arrow from where their centre was to where it is; still ones are outlined.
@@ -55,8 +55,8 @@ def draw_overlay(curr: RgbdFrame, motion: SceneMotion) -> NDArray[np.uint8]:
 
 
 def _draw_mask(
-    image: canvas.Image, photo: canvas.Image, mask: NDArray[np.bool_], obj: ObjectMotion, scale: int, unit: float
-) -> canvas.Image:
+    image: UInt8Array, photo: UInt8Array, mask: BoolMask, obj: ObjectMotion, scale: int, unit: float
+) -> UInt8Array:
     """Fill and outline a mask along a smooth border."""
     distance = _signed_distance(mask, scale)
     inside = np.clip(distance + 0.5, 0, 1)
@@ -70,7 +70,7 @@ def _draw_mask(
     return canvas.blend(image, color, np.clip(width + 0.5 - np.abs(distance), 0, 1))
 
 
-def _signed_distance(mask: NDArray[np.bool_], scale: int) -> NDArray[np.float32]:
+def _signed_distance(mask: BoolMask, scale: int) -> Float32Array:
     """Pixels to the border of an enlarged mask, positive inside; its stairs are smoothed away."""
     size = (mask.shape[1] * scale, mask.shape[0] * scale)
     soft = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
@@ -82,16 +82,14 @@ def _signed_distance(mask: NDArray[np.bool_], scale: int) -> NDArray[np.float32]
     return np.where(inside > 0, into - 0.5, 0.5 - out).astype(np.float32)
 
 
-def _anchor(mask: NDArray[np.bool_], scale: int) -> canvas.Point:
+def _anchor(mask: BoolMask, scale: int) -> canvas.Point:
     """The point of a mask that is furthest from its border, in the enlarged picture."""
     depth_inside = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
     v, u = np.unravel_index(int(np.argmax(depth_inside)), mask.shape)
     return _enlarge(float(u), float(v), scale)
 
 
-def _draw_arrow(
-    image: canvas.Image, curr: RgbdFrame, obj: ObjectMotion, scale: int, unit: float
-) -> canvas.Point | None:
+def _draw_arrow(image: UInt8Array, curr: RgbdFrame, obj: ObjectMotion, scale: int, unit: float) -> canvas.Point | None:
     """Draw the way of the centre through the image; return its end, or None if it cannot be seen."""
     ends = geometry.project(np.stack([obj.center + obj.translation, obj.center]), curr.camera)
     if not np.isfinite(ends).all() or np.abs(ends).max() > 4 * max(curr.camera.width, curr.camera.height):
@@ -104,7 +102,7 @@ def _draw_arrow(
     return end
 
 
-def _draw_chip(image: canvas.Image, obj: ObjectMotion, anchor: canvas.Point, unit: float) -> None:
+def _draw_chip(image: UInt8Array, obj: ObjectMotion, anchor: canvas.Point, unit: float) -> None:
     """A rounded label beside the anchor: the id and, if the object moved, how far and how much it turned."""
     size = 17 * unit
     number = str(obj.id)
@@ -129,7 +127,7 @@ def _draw_chip(image: canvas.Image, obj: ObjectMotion, anchor: canvas.Point, uni
 
 
 def _rounded(
-    image: canvas.Image, left: float, top: float, width: float, height: float, color: Rgb, radius: float
+    image: UInt8Array, left: float, top: float, width: float, height: float, color: Rgb, radius: float
 ) -> None:
     right, bottom = left + width, top + height
     x0, x1, y0, y1 = left + radius, right - radius, top + radius, bottom - radius

@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.typing import UInt8Array
 from objectflow.view.flow import draw_flow
 from objectflow.view.overlay import draw_overlay
 
@@ -27,7 +26,7 @@ def write_pictures(folder: Path, curr: RgbdFrame, motion: SceneMotion) -> None:
     (folder / "flow.png").write_bytes(encode_png(draw_flow(curr, motion)))
 
 
-def encode_png(image: NDArray[np.uint8]) -> bytes:
+def encode_png(image: UInt8Array) -> bytes:
     """(H, W, 3) uint8 RGB -> the bytes of a PNG file.
 
     Raises:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.errors import MissingExtraError, StorageError, ViewerError
 from objectflow.frame import RgbdFrame
+from objectflow.typing import Float32Array, Float64Array, UInt8Array
 from objectflow.view import colors
 from objectflow.view.flow import flow_range
-from objectflow.view.viewer_frames import NO_TRACK, NO_TRACK_NAME, Array, Moment
+from objectflow.view.viewer_frames import NO_TRACK, NO_TRACK_NAME, ViewerFrame
 
 try:
     import rerun as rr
@@ -94,14 +95,14 @@ class RerunViewer:
             with suppress(OSError):
                 self._temporary.unlink()
 
-    def show(self, make: Callable[[], Iterable[Moment]]) -> None:
+    def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
         """Log every moment whose number was not logged before."""
         for moment in make():
             if moment.number not in self._shown:
                 self._shown.add(moment.number)
                 self._show(moment)
 
-    def _show(self, moment: Moment) -> None:
+    def _show(self, moment: ViewerFrame) -> None:
         self._stream.set_time(FRAME, sequence=moment.number)
         if moment.seconds is not None:
             self._stream.set_time(SECONDS, duration=moment.seconds)
@@ -110,7 +111,7 @@ class RerunViewer:
         self._show_points(moment)
         self._show_objects(moment)
 
-    def _name(self, moment: Moment) -> None:
+    def _name(self, moment: ViewerFrame) -> None:
         """Tell rerun the names and colours of the ids, when there are new ones."""
         names = {obj.id: obj.name for obj in moment.objects if obj.id not in self._names}
         if not names and self._names:
@@ -121,7 +122,7 @@ class RerunViewer:
         self._log("world", rr.AnnotationContext(classes), static=True)
         self._names.setdefault(NO_TRACK, NO_TRACK_NAME)
 
-    def _show_camera(self, moment: Moment) -> None:
+    def _show_camera(self, moment: ViewerFrame) -> None:
         camera = moment.frame.camera
         pose = moment.world_T_camera
         self._log(CAMERA, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
@@ -141,7 +142,7 @@ class RerunViewer:
         ids = np.zeros(moment.frame.depth.shape, np.uint16) if moment.ids is None else moment.ids
         self._log(f"{CAMERA}/labels", rr.SegmentationImage(ids, opacity=0.6))
 
-    def _show_points(self, moment: Moment) -> None:
+    def _show_points(self, moment: ViewerFrame) -> None:
         frame = moment.frame
         step = max(1, int(np.ceil(np.sqrt(frame.depth.size / MOST_POINTS))))
         thin = (slice(step // 2, None, step), slice(step // 2, None, step))
@@ -156,7 +157,7 @@ class RerunViewer:
         self._log("world/points/by_object", rr.Points3D(world, colors=by_object, radii=radii))
         self._log("world/points/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
 
-    def _show_objects(self, moment: Moment) -> None:
+    def _show_objects(self, moment: ViewerFrame) -> None:
         moved = [(obj, obj.way, *_beside(moment, obj.id, obj.way[1])) for obj in moment.objects if obj.way is not None]
         # Darker than the points, which they lie before.
         shades = [tuple(channel // 2 for channel in colors.object_color(obj.id)) for obj, *_ in moved]
@@ -232,13 +233,13 @@ def _layout() -> rrb.Blueprint:
     )
 
 
-def _greyed(frame: RgbdFrame) -> NDArray[np.uint8]:
+def _greyed(frame: RgbdFrame) -> UInt8Array:
     """(H, W, 3) the frame in pale grey."""
     brightness = frame.color.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32)
     return np.repeat((70 + 0.62 * brightness)[..., None], 3, axis=2).astype(np.uint8)
 
 
-def _color_ids(grey: NDArray[np.uint8], ids: NDArray[np.uint16]) -> NDArray[np.uint8]:
+def _color_ids(grey: UInt8Array, ids: NDArray[np.uint16]) -> UInt8Array:
     """(N, 3) each object's points in its colour, shaded by the picture; the rest grey."""
     painted = grey.copy()
     for number in np.unique(ids[(ids > 0) & (ids != NO_TRACK)]).tolist():
@@ -248,7 +249,7 @@ def _color_ids(grey: NDArray[np.uint8], ids: NDArray[np.uint16]) -> NDArray[np.u
     return painted
 
 
-def _color_flow(grey: NDArray[np.uint8], scene_flow: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _color_flow(grey: UInt8Array, scene_flow: Float32Array) -> UInt8Array:
     """(N, 3) in the colours of `flow.png`, forward in time: hue = direction in the image; what rests is grey."""
     moved = -scene_flow.astype(np.float64)
     known = np.isfinite(moved).all(axis=-1)
@@ -260,7 +261,7 @@ def _color_flow(grey: NDArray[np.uint8], scene_flow: NDArray[np.float32]) -> NDA
     return painted
 
 
-def _beside(moment: Moment, number: int, center: Array) -> tuple[Array, Array]:
+def _beside(moment: ViewerFrame, number: int, center: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Where an object hides nothing, and nothing hides it: a shift (3,) and a place (3,), both in the world.
 
     The shift carries its centre to just before its surface, towards the camera, for arrows; the place lies beyond its

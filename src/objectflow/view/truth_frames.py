@@ -10,7 +10,7 @@ import numpy as np
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import PairRow, SequenceRow
-from objectflow.view.viewer_frames import Moment, ShownObject, caption
+from objectflow.view.viewer_frames import ShownObject, ViewerFrame, caption
 
 FRAME_RATE = 60.0
 """Frames a second of the simulation: rows of sequences count its frames."""
@@ -19,12 +19,12 @@ MOVED = 0.002
 """Metres: what went less far gets no arrow."""
 
 
-def row_moments(row: PairRow) -> tuple[Moment, Moment]:
+def row_moments(row: PairRow) -> tuple[ViewerFrame, ViewerFrame]:
     """Both frames of a pair with their true masks, flow and poses; the camera stands still."""
     return _moments(row, (0, 1), (None, None))
 
 
-def sequence_moments(rows: Sequence[SequenceRow]) -> Iterator[Moment]:
+def sequence_moments(rows: Sequence[SequenceRow]) -> Iterator[ViewerFrame]:
     """The frames of one sequence, in order, each with the motion since the one before."""
     for index, (prev, curr) in enumerate(itertools.pairwise(rows)):
         seconds = tuple((row.frame - rows[0].frame) / FRAME_RATE for row in (prev, curr))
@@ -36,7 +36,7 @@ def sequence_moments(rows: Sequence[SequenceRow]) -> Iterator[Moment]:
 
 def _moments(
     row: PairRow, numbers: tuple[int, int], seconds: tuple[float | None, float | None]
-) -> tuple[Moment, Moment]:
+) -> tuple[ViewerFrame, ViewerFrame]:
     before, after = [], []
     for obj in row.objects:
         name = f"{obj.category} {obj.label}"
@@ -49,6 +49,10 @@ def _moments(
     motions = {obj.label: obj.prev_T_curr(raw=True) for obj in row.objects if obj.in_both}
     flow = geometry.flow_from_motions(points, row.curr_labels, motions)
     return (
-        Moment(numbers[0], seconds[0], row.prev, np.eye(4), row.prev_labels.astype(np.uint16), objects=tuple(before)),
-        Moment(numbers[1], seconds[1], row.curr, np.eye(4), row.curr_labels.astype(np.uint16), flow, tuple(after)),
+        ViewerFrame(
+            numbers[0], seconds[0], row.prev, np.eye(4), row.prev_labels.astype(np.uint16), objects=tuple(before)
+        ),
+        ViewerFrame(
+            numbers[1], seconds[1], row.curr, np.eye(4), row.curr_labels.astype(np.uint16), flow, tuple(after)
+        ),
     )

@@ -8,13 +8,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, cast
 
-from objectflow.view.viewer_frames import Moment
+from objectflow.view.viewer_frames import ViewerFrame
 
 
 class Viewer(Protocol):
     """Shows moments; use it in a `with` block, which finishes a file that is saved."""
 
-    def show(self, make: Callable[[], Iterable[Moment]]) -> None:
+    def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
         """Show what `make` returns; a viewer that is off never calls it, so that it costs nothing."""
 
     def __enter__(self) -> Viewer: ...
@@ -27,7 +27,7 @@ class Viewer(Protocol):
 class NoViewer:
     """The viewer that is off."""
 
-    def show(self, make: Callable[[], Iterable[Moment]]) -> None:
+    def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
         """Do nothing."""
 
     def __enter__(self) -> NoViewer:

@@ -16,8 +16,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSource
 from objectflow.tracking.tracker import Tracker
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float32Array, Float64Array
 
 NO_TRACK = 65535
 """The id of masks in a sequence that no track follows: things that rest, and regions that no motion explains."""
@@ -38,13 +37,13 @@ class ShownObject:
 
     id: int
     name: str
-    world_T_object: Array
-    way: Array | None = None
+    world_T_object: Float64Array
+    way: Float64Array | None = None
     caption: str = ""
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class ViewerFrame:
     """One frame and what is known about it.
 
     Attributes:
@@ -60,13 +59,13 @@ class Moment:
     number: int
     seconds: float | None
     frame: RgbdFrame
-    world_T_camera: Array
+    world_T_camera: Float64Array
     ids: NDArray[np.uint16] | None = None
-    scene_flow: NDArray[np.float32] | None = None
+    scene_flow: Float32Array | None = None
     objects: tuple[ShownObject, ...] = ()
 
 
-def pair_moments(prev: RgbdFrame, curr: RgbdFrame, motion: SceneMotion) -> tuple[Moment, Moment]:
+def pair_moments(prev: RgbdFrame, curr: RgbdFrame, motion: SceneMotion) -> tuple[ViewerFrame, ViewerFrame]:
     """Both frames of a pair; objects have the ids of the result.
 
     An object's own frame lies at its first centre, turned like the world, as in `tracking.Track`.
@@ -87,8 +86,8 @@ def pair_moments(prev: RgbdFrame, curr: RgbdFrame, motion: SceneMotion) -> tuple
         after.append(ShownObject(obj.id, name, pose, way if obj.moving else None, caption(way, start, pose)))
     gap = None if prev.timestamp is None or curr.timestamp is None else curr.timestamp - prev.timestamp
     return (
-        Moment(0, None if gap is None else 0.0, prev, np.eye(4), objects=tuple(before)),
-        Moment(1, gap, curr, world_T_curr, motion.labels.astype(np.uint16), motion.scene_flow, tuple(after)),
+        ViewerFrame(0, None if gap is None else 0.0, prev, np.eye(4), objects=tuple(before)),
+        ViewerFrame(1, gap, curr, world_T_curr, motion.labels.astype(np.uint16), motion.scene_flow, tuple(after)),
     )
 
 
@@ -99,7 +98,7 @@ def tracked_moments(
     motion: SceneMotion,
     numbers: tuple[int, int],
     seconds: tuple[float | None, float | None],
-) -> tuple[Moment, Moment]:
+) -> tuple[ViewerFrame, ViewerFrame]:
     """Both frames of the pair that a tracker has just linked; objects have their tracks' ids.
 
     Args:
@@ -127,8 +126,10 @@ def tracked_moments(
         if label < len(table):
             table[label] = track_id
     return (
-        Moment(numbers[0], seconds[0], frames[0], world_T_prev, objects=tuple(before)),
-        Moment(numbers[1], seconds[1], frames[1], world_T_curr, table[motion.labels], motion.scene_flow, tuple(after)),
+        ViewerFrame(numbers[0], seconds[0], frames[0], world_T_prev, objects=tuple(before)),
+        ViewerFrame(
+            numbers[1], seconds[1], frames[1], world_T_curr, table[motion.labels], motion.scene_flow, tuple(after)
+        ),
     )
 
 
@@ -141,7 +142,7 @@ class RunMoments:
         self._start: float | None = None
         self._last: tuple[int, RgbdFrame] | None = None
 
-    def read(self, folder: Path, prev: int, curr: int) -> tuple[Moment, Moment]:
+    def read(self, folder: Path, prev: int, curr: int) -> tuple[ViewerFrame, ViewerFrame]:
         """The moments of the result in `folder`, between the source's frames of those numbers.
 
         Raises:
@@ -180,7 +181,7 @@ def check_size(motion: SceneMotion, curr: RgbdFrame, where: str) -> None:
         )
 
 
-def caption(way: Array, start: Array, pose: Array) -> str:
+def caption(way: Float64Array, start: Float64Array, pose: Float64Array) -> str:
     """How far a centre went and how much its object turned, in the world."""
     turn = math.degrees(float(geometry.rotation_angle(pose[:3, :3] @ start[:3, :3].T)))
     return f"{100 * float(np.linalg.norm(way[1] - way[0])):.1f} cm, {turn:.0f}°"

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
 from objectflow.evaluation.metrics.flow_metrics import FlowScore, angular_errors, score_flow
+from objectflow.typing import BoolMask, Float32Array
 
 flows = arrays(np.float32, (3, 4, 3), elements=st.floats(-2, 2, width=32))
 masks = arrays(np.bool_, (3, 4))
 ALL = np.ones((1, 4), np.bool_)
 
 
-def flow(*pixels: tuple[float, float, float]) -> NDArray[np.float32]:
+def flow(*pixels: tuple[float, float, float]) -> Float32Array:
     return np.array([pixels], np.float32)
 
 
@@ -85,7 +85,7 @@ def test_shapes_that_do_not_fit() -> None:
         score_flow(zero, zero, ALL[:, :2], ALL)
 
 
-def plain(guess: NDArray[np.float32], true: NDArray[np.float32], mask: NDArray[np.bool_]) -> tuple[float, float]:
+def plain(guess: Float32Array, true: Float32Array, mask: BoolMask) -> tuple[float, float]:
     """The definition, pixel by pixel."""
     epe, aae = [], []
     for p, t in zip(guess[mask].tolist(), true[mask].tolist(), strict=True):
@@ -97,9 +97,7 @@ def plain(guess: NDArray[np.float32], true: NDArray[np.float32], mask: NDArray[n
 
 
 @given(flows, flows, masks)
-def test_against_the_definition(
-    guess: NDArray[np.float32], true: NDArray[np.float32], mask: NDArray[np.bool_]
-) -> None:
+def test_against_the_definition(guess: Float32Array, true: Float32Array, mask: BoolMask) -> None:
     score = score_flow(guess, true, mask, mask)
     assert (score.all.epe_cm, score.all.aae_deg) == pytest.approx(
         plain(guess, true, np.ones((3, 4), np.bool_)), abs=1e-5
@@ -109,14 +107,14 @@ def test_against_the_definition(
 
 
 @given(flows, masks)
-def test_the_truth_scores_zero(true: NDArray[np.float32], mask: NDArray[np.bool_]) -> None:
+def test_the_truth_scores_zero(true: Float32Array, mask: BoolMask) -> None:
     score = score_flow(true.copy(), true, mask, mask)
     assert (score.all.epe_cm, score.all.aae_deg) == (0, 0)
     assert score.masked.under == (mask.sum(),) * 3
 
 
 @given(flows, flows, masks)
-def test_both_errors_are_symmetric(a: NDArray[np.float32], b: NDArray[np.float32], mask: NDArray[np.bool_]) -> None:
+def test_both_errors_are_symmetric(a: Float32Array, b: Float32Array, mask: BoolMask) -> None:
     def errors(score: FlowScore) -> tuple[float, float]:
         return score.all.epe_cm, score.all.aae_deg
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
 from objectflow.evaluation.metrics.flow_metrics import FlowScore, PixelScore
@@ -18,12 +17,12 @@ from objectflow.evaluation.results import Evaluation, MethodResult, ObjectFacts,
 from objectflow.evaluation.tables.summary import summarise
 from objectflow.evaluation.tables.tables import make_tables
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import LabelImage
 
 WIDTH, HEIGHT = 40, 30
-Labels = NDArray[np.int32]
 
 
-def draw(*stripes: tuple[int, int, int]) -> Labels:
+def draw(*stripes: tuple[int, int, int]) -> LabelImage:
     """Stripes of ten rows: (label, first column, last column + 1)."""
     labels = np.zeros((HEIGHT, WIDTH), np.int32)
     for label, start, stop in stripes:
@@ -31,7 +30,7 @@ def draw(*stripes: tuple[int, int, int]) -> Labels:
     return labels
 
 
-def truth(labels: Labels, moving: set[int], hidden: int = 0) -> PairTruth:
+def truth(labels: LabelImage, moving: set[int], hidden: int = 0) -> PairTruth:
     """`hidden` is the object that the previous frame does not show."""
     objects = tuple(
         TrueObject(label, np.zeros(3), np.eye(4), np.empty((0, 3)), (), label != hidden)
@@ -42,7 +41,7 @@ def truth(labels: Labels, moving: set[int], hidden: int = 0) -> PairTruth:
     return PairTruth("k", "s", labels, flow, objects, labels > 0, frozenset(moving))
 
 
-def guess(labels: Labels, still: tuple[int, ...] = ()) -> SceneMotion:
+def guess(labels: LabelImage, still: tuple[int, ...] = ()) -> SceneMotion:
     objects = tuple(
         ObjectMotion(label, int((labels == label).sum()), 1.0, label not in still, np.zeros(3), np.eye(4))
         for label in np.unique(labels).tolist()

@@ -8,26 +8,25 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import GeometryError
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
 from objectflow.evaluation.metrics.object_metrics import ObjectError, score_objects
-from objectflow.evaluation.metrics.segmentation_metrics import Match
+from objectflow.evaluation.metrics.segmentation_metrics import ObjectMatch
 from objectflow.evaluation.metrics.symmetry_error import rotation_error, turn_group
 from objectflow.motion import ObjectMotion
+from objectflow.typing import Float64Array
 
-Array = NDArray[np.float64]
 X, Y, Z = np.eye(3)
 vectors = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 
 
-def turn(axis: Array, degrees: float) -> Array:
+def turn(axis: Float64Array, degrees: float) -> Float64Array:
     return np.asarray(Rotation.from_rotvec(np.deg2rad(degrees) * axis).as_matrix())
 
 
-def plain_angle(a: Array, b: Array) -> float:
+def plain_angle(a: Float64Array, b: Float64Array) -> float:
     return math.degrees(math.acos(max(-1.0, min(1.0, (float(np.trace(a.T @ b)) - 1) / 2))))
 
 
@@ -51,7 +50,7 @@ def plain_angle(a: Array, b: Array) -> float:
         (turn(X, 180) @ turn(Z, 8), [X, Y, Z], [2, 2, 2], 8),  # a box
     ],
 )
-def test_errors_up_to_symmetry(off: Array, axes: list[Array], orders: list[int], error: float) -> None:
+def test_errors_up_to_symmetry(off: Float64Array, axes: list[Float64Array], orders: list[int], error: float) -> None:
     true = turn(np.array([0.36, 0.48, 0.8]), 71)
     # The axes are given in the current frame, so a turn of the group comes before the true rotation.
     assert rotation_error(true @ off, true, axes, orders) == pytest.approx(error, abs=1e-5)
@@ -71,7 +70,7 @@ def test_errors_up_to_symmetry(off: Array, axes: list[Array], orders: list[int],
         ([Z, X], [36, 2], 72),
     ],
 )
-def test_the_size_of_groups(axes: list[Array], orders: list[int], size: int) -> None:
+def test_the_size_of_groups(axes: list[Float64Array], orders: list[int], size: int) -> None:
     group = turn_group(axes, orders)
     assert group.shape == (size, 3, 3)
     assert np.allclose(group[0], np.eye(3))
@@ -86,13 +85,13 @@ def test_axes_that_are_found_only_roughly_still_make_their_group() -> None:
 @pytest.mark.parametrize(
     ("axes", "orders"), [([Z], []), ([Z], [1]), ([Z], [-2]), ([0 * Z], [2]), ([X, turn(Z, 7.3) @ X + 0.1 * Z], [5, 7])]
 )
-def test_axes_that_make_no_group(axes: list[Array], orders: list[int]) -> None:
+def test_axes_that_make_no_group(axes: list[Float64Array], orders: list[int]) -> None:
     with pytest.raises(GeometryError):
         rotation_error(np.eye(3), np.eye(3), axes, orders)
 
 
 @given(vectors, vectors, vectors, st.integers(2, 12), st.integers(0, 11))
-def test_one_axis_against_every_turn(p: Array, t: Array, a: Array, order: int, k: int) -> None:
+def test_one_axis_against_every_turn(p: Float64Array, t: Float64Array, a: Float64Array, order: int, k: int) -> None:
     axis = np.array([0.6, 0.0, 0.8]) if np.linalg.norm(a) < 0.1 else a / np.linalg.norm(a)
     P, T = Rotation.from_rotvec(p).as_matrix(), Rotation.from_rotvec(t).as_matrix()
     error = rotation_error(P, T, [axis], [order])
@@ -105,7 +104,7 @@ def test_one_axis_against_every_turn(p: Array, t: Array, a: Array, order: int, k
 
 
 @given(vectors, vectors, st.booleans())
-def test_a_continuous_axis_against_fine_turns(p: Array, t: Array, flips: bool) -> None:
+def test_a_continuous_axis_against_fine_turns(p: Float64Array, t: Float64Array, flips: bool) -> None:
     P, T = Rotation.from_rotvec(p).as_matrix(), Rotation.from_rotvec(t).as_matrix()
     axes, orders = ([Z, X], [0, 2]) if flips else ([Z], [0])
     E = T.T @ P
@@ -119,7 +118,7 @@ def test_a_continuous_axis_against_fine_turns(p: Array, t: Array, flips: bool) -
     )
 
 
-def motion(id_: int, T: Array) -> ObjectMotion:
+def motion(id_: int, T: Float64Array) -> ObjectMotion:
     return ObjectMotion(id=id_, pixels=1, score=1.0, moving=True, center=np.zeros(3), prev_T_curr=T)
 
 
@@ -142,7 +141,7 @@ def test_objects_errors() -> None:
     square = TrueObject(2, center, T, Z[None], (4,), in_both=True)
     ball = TrueObject(3, center, T, np.empty((0, 3)), (), in_both=True, rotation_known=False)
     new = TrueObject(4, center, T, np.empty((0, 3)), (), in_both=False)
-    matches = [Match(label, label + 10, 0.9) for label in (1, 2, 3, 4)] + [Match(1, 99, 0.1)]
+    matches = [ObjectMatch(label, label + 10, 0.9) for label in (1, 2, 3, 4)] + [ObjectMatch(1, 99, 0.1)]
     guesses = [motion(label + 10, guess) for label in (1, 2, 3, 4)]
     errors = score_objects(guesses, truth(free, square, ball, new), matches)
     # The object seen in one frame only has no error, nor has a match that no motion belongs to.

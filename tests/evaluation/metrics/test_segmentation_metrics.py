@@ -9,19 +9,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
 from objectflow.evaluation.metrics.boundary import count_near, outlines, tolerance_pixels
-from objectflow.evaluation.metrics.region_matching import assign, compare
+from objectflow.evaluation.metrics.region_matching import assign_regions, compare
 from objectflow.evaluation.metrics.segmentation_metrics import PRF, SegmentationScore, score_segmentation
-
-Labels = NDArray[np.int32]
+from objectflow.typing import BoolMask, LabelImage
 
 label_images = arrays(np.int32, (6, 7), elements=st.integers(0, 4))
 
 
-def image(*rows: str) -> Labels:
+def image(*rows: str) -> LabelImage:
     return np.array([[int(pixel) for pixel in row] for row in rows], dtype=np.int32)
 
 
@@ -147,7 +145,7 @@ def test_tolerance(height: int, width: int, pixels: int) -> None:
 
 
 @given(label_images)
-def test_outlines_are_those_of_each_mask_alone(labels: Labels) -> None:
+def test_outlines_are_those_of_each_mask_alone(labels: LabelImage) -> None:
     got = outlines(labels)
     height, width = labels.shape
     for label in range(1, 5):
@@ -160,14 +158,14 @@ def test_outlines_are_those_of_each_mask_alone(labels: Labels) -> None:
 
 
 @given(arrays(np.bool_, (5, 8)), arrays(np.bool_, (5, 8)), st.integers(1, 4))
-def test_count_near_against_all_distances(a: NDArray[np.bool_], b: NDArray[np.bool_], radius: int) -> None:
+def test_count_near_against_all_distances(a: BoolMask, b: BoolMask, radius: int) -> None:
     p, q = np.argwhere(a), np.argwhere(b)
     distances = np.linalg.norm(p[:, None].astype(float) - q[None], axis=-1)
     assert count_near(p, q, radius, 5, 8) == int((distances <= radius).any(1).sum())
 
 
 @given(label_images, label_images)
-def test_the_assignment_is_the_best_of_all(true: Labels, guess: Labels) -> None:
+def test_the_assignment_is_the_best_of_all(true: LabelImage, guess: LabelImage) -> None:
     regions = compare(true, guess)
     f = regions.f
     wide = f if f.shape[0] <= f.shape[1] else f.T
@@ -175,13 +173,13 @@ def test_the_assignment_is_the_best_of_all(true: Labels, guess: Labels) -> None:
         sum(wide[i, j] for i, j in enumerate(columns))
         for columns in itertools.permutations(range(wide.shape[1]), wide.shape[0])
     )
-    pairs = assign(regions)
+    pairs = assign_regions(regions)
     assert sum(f[i, j] for i, j in pairs) == pytest.approx(best, abs=1e-12)
     assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
 
 
 @given(label_images, label_images)
-def test_overlaps_are_counts(true: Labels, guess: Labels) -> None:
+def test_overlaps_are_counts(true: LabelImage, guess: LabelImage) -> None:
     regions = compare(true, guess)
     for (i, t), (j, p) in itertools.product(enumerate(regions.true_ids), enumerate(regions.predicted_ids)):
         assert regions.overlap[i, j] == ((true == t) & (guess == p)).sum()
@@ -196,7 +194,7 @@ def numbers(score: SegmentationScore) -> tuple[object, ...]:
 @settings(max_examples=200)
 @given(label_images, label_images, st.permutations(range(1, 5)), st.permutations([1, 3, 50, 100_000]))
 def test_renumbering_objects_changes_nothing(
-    true: Labels, guess: Labels, true_names: list[int], guess_names: list[int]
+    true: LabelImage, guess: LabelImage, true_names: list[int], guess_names: list[int]
 ) -> None:
     renamed_true = np.array([0, *true_names], np.int32)[true]
     renamed_guess = np.array([0, *guess_names], np.int32)[guess]
@@ -204,7 +202,7 @@ def test_renumbering_objects_changes_nothing(
 
 
 @given(label_images)
-def test_the_truth_scores_one(true: Labels) -> None:
+def test_the_truth_scores_one(true: LabelImage) -> None:
     score = score_segmentation(true, true.copy())
     for form in (score.fbms, score.mean_f, score.overlap, score.boundary):
         assert form == (1, 1, 1)
@@ -213,7 +211,7 @@ def test_the_truth_scores_one(true: Labels) -> None:
 
 
 @given(label_images, label_images)
-def test_every_share_is_a_share(true: Labels, guess: Labels) -> None:
+def test_every_share_is_a_share(true: LabelImage, guess: LabelImage) -> None:
     score = score_segmentation(true, guess)
     for form in (score.fbms, score.mean_f, score.overlap, score.boundary):
         assert all(0 <= value <= 1 + 1e-12 for value in form)
@@ -223,7 +221,7 @@ def test_every_share_is_a_share(true: Labels, guess: Labels) -> None:
 
 
 @given(label_images)
-def test_all_background(true: Labels) -> None:
+def test_all_background(true: LabelImage) -> None:
     score = score_segmentation(true, np.zeros_like(true))
     assert score.overlap == ((1, 0, 0) if true.any() else (1, 1, 1))
     # Only a mask that fills the image has no outline to miss.

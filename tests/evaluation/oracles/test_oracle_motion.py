@@ -7,7 +7,7 @@ import pytest
 
 import analytic
 from objectflow.errors import ResultError
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
 from objectflow.evaluation.metrics.pair_score import score_pair
 from objectflow.evaluation.oracles.oracle_motion import OracleMotion
 from objectflow.methods.sceneflownet.grouping import GroupingSettings
@@ -18,7 +18,7 @@ def truth_of(scene: analytic.AnalyticPair) -> PairTruth:
     objects = [
         TrueObject(label, scene.centers[label], T, none, (), in_both=True) for label, T in scene.prev_T_curr.items()
     ]
-    return make_truth("pair", scene.curr, scene.labels, objects)
+    return make_pair_truth("pair", scene.curr, scene.labels, objects)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -48,7 +48,7 @@ def test_what_the_grouping_loses_shows() -> None:
 
 def test_no_objects_and_a_truth_of_another_size() -> None:
     scene = analytic.make_scene(1, objects=(1, 1))
-    empty = make_truth("pair", scene.curr, np.zeros_like(scene.labels), [])
+    empty = make_pair_truth("pair", scene.curr, np.zeros_like(scene.labels), [])
     motion = OracleMotion(empty)(scene.prev, scene.curr)
     assert motion.objects == ()
     assert not np.nan_to_num(motion.scene_flow).any()

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import analytic
 import objectflow
@@ -22,10 +21,10 @@ from objectflow.methods.baselines.homc.densify import densify
 from objectflow.methods.baselines.homc.estimator import Homc
 from objectflow.methods.baselines.homc.graph import build_problem
 from objectflow.methods.baselines.homc.tracks import Tracks, follow
+from objectflow.typing import LabelImage
 
 pytest.importorskip("bioimage_cpp")
 
-Floats = NDArray[np.float64]
 SETTINGS = CostSettings(noise=0.5, distance_unit=32.0)
 
 
@@ -153,7 +152,7 @@ def test_pixels_take_the_label_of_near_tracks_of_their_colour() -> None:
 
 
 @cache
-def sequence(count: int = 4) -> tuple[list[RgbdFrame], NDArray[np.int32]]:
+def sequence(count: int = 4) -> tuple[list[RgbdFrame], LabelImage]:
     """A still background with a disc that turns by 5 degrees a frame and a square that slides; labels of the last."""
     rng = np.random.default_rng(1)
     layers = [cv2.resize(rng.integers(0, 256, (s, s, 3)).astype(np.uint8), (320, 320)) for s in (64, 80, 72)]

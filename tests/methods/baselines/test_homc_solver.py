@@ -7,21 +7,20 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from objectflow.methods.baselines.homc import multicut, search
 from objectflow.methods.baselines.homc.problem import Problem
+from objectflow.typing import Int64Array
 
 pytest.importorskip("bioimage_cpp")
 
-Ints = NDArray[np.int64]
 NO_PAIRS, NO_TRIPLES = np.zeros((0, 2), np.int64), np.zeros((0, 3), np.int64)
 
 
-def partitions(count: int) -> Iterator[Ints]:
+def partitions(count: int) -> Iterator[Int64Array]:
     """All partitions of `count` nodes: Bell's number of them."""
 
-    def grow(labels: list[int], parts: int) -> Iterator[Ints]:
+    def grow(labels: list[int], parts: int) -> Iterator[Int64Array]:
         if len(labels) == count:
             yield np.array(labels)
             return
@@ -31,7 +30,7 @@ def partitions(count: int) -> Iterator[Ints]:
     yield from grow([], 0)
 
 
-def all_of(count: int, size: int) -> Ints:
+def all_of(count: int, size: int) -> Int64Array:
     return np.array(list(itertools.combinations(range(count), size)))
 
 
@@ -47,7 +46,7 @@ def random_problem(rng: np.random.Generator, count: int) -> Problem:
     return Problem(count, edges, pairs, rng.standard_normal(len(pairs)), triples, rng.standard_normal(len(triples)))
 
 
-def canonical(labels: Ints) -> list[int]:
+def canonical(labels: Int64Array) -> list[int]:
     """Labels numbered by first occurrence: equal for equal partitions."""
     order: dict[int, int] = {}
     return [order.setdefault(int(label), len(order)) for label in labels]
@@ -123,7 +122,7 @@ def test_the_search_ends_where_no_single_change_helps() -> None:
 
 
 def grid_problem(
-    planted: NDArray[np.int64], rng: np.random.Generator, pair_noise: float, pair_weight: float, triple_weight: float
+    planted: Int64Array, rng: np.random.Generator, pair_noise: float, pair_weight: float, triple_weight: float
 ) -> Problem:
     """A grid's nodes with edges to their neighbours, and lifted edges and triples that speak for the planted parts."""
     height, width = planted.shape
@@ -150,7 +149,7 @@ def grid_problem(
     )
 
 
-def planted_parts() -> Ints:
+def planted_parts() -> Int64Array:
     parts = np.zeros((13, 17), np.int64)
     parts[2:7, 2:8], parts[5:11, 9:15], parts[8:11, 2:5] = 1, 2, 3
     return parts

@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from scipy import ndimage, optimize
 from torch import Tensor
 
@@ -16,12 +15,12 @@ import analytic
 from objectflow import Camera, geometry
 from objectflow.alignment import matching
 from objectflow.geometry import torch_pinhole
-from objectflow.methods.baselines.enlarge import enlarge as to_input
+from objectflow.methods.baselines.enlarge import upsample_guided as to_input
 from objectflow.methods.baselines.pd_flow import linearise, median, primal_dual, pyramid
 from objectflow.methods.baselines.pd_flow.estimator import lift
 from objectflow.methods.baselines.pd_flow.primal_dual import State
+from objectflow.typing import Float32Array, Float64Array
 
-Array = NDArray[np.float64]
 K = torch.tensor([[60.0, 60.0, 31.5, 23.5]])
 
 
@@ -67,10 +66,10 @@ def test_depth_is_not_mixed_across_edges_and_holes_stay() -> None:
 
 def test_enlarging_keeps_planes() -> None:
     v, u = torch.meshgrid(torch.arange(6.0), torch.arange(8.0), indexing="ij")
-    fine = pyramid.enlarge((3 + 2 * u - v)[None, None])[0, 0]
+    fine = pyramid.upsample_flow((3 + 2 * u - v)[None, None])[0, 0]
     v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
     np.testing.assert_allclose(fine[2:-3, 2:-3], (3 + u - v / 2)[2:-3, 2:-3], atol=1e-5)
-    np.testing.assert_allclose(pyramid.enlarge(torch.full((1, 2, 6, 8), 4.0)), 4, rtol=1e-5)
+    np.testing.assert_allclose(pyramid.upsample_flow(torch.full((1, 2, 6, 8), 4.0)), 4, rtol=1e-5)
 
 
 # --- linearisation ---
@@ -90,7 +89,7 @@ def test_derivatives_are_taken_where_the_flow_leads() -> None:
     np.testing.assert_allclose(level.mu[inner], 75 / (1 + 1000 * (0.004**2 + 0.002**2)), rtol=1e-4)
 
 
-def _maps(gray: NDArray[np.float32], depth: NDArray[np.float32]) -> tuple[Tensor, Tensor]:
+def _maps(gray: Float32Array, depth: Float32Array) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(gray)[None, None], torch.from_numpy(depth)[None, None]
 
 
@@ -210,7 +209,7 @@ def test_the_energy_falls_to_where_a_general_optimiser_finds_its_least() -> None
     energies = [float(primal_dual.energy(level, after(n).flow)[0]) for n in (10, 40, 160, 2000)]
     assert energies == sorted(energies, reverse=True)
 
-    def smoothed(x: Array) -> tuple[float, Array]:
+    def smoothed(x: Float64Array) -> tuple[float, Float64Array]:
         flow = torch.from_numpy(x).view(1, 3, 30, 40).requires_grad_()
         value = _energy_written_out(level, flow, 1e-3)
         value.backward()  # type: ignore[no-untyped-call]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 
 import analytic
 import objectflow
@@ -17,6 +16,7 @@ from helpers.paths import SHARED
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.errors import MethodError
 from objectflow.methods.baselines.sr_flow.estimator import SRFlow, _tensors
+from objectflow.typing import Float32Array
 
 QUICK: dict[str, Any] = {"levels": 2, "alternations": 2, "steps": 2, "smoothing_steps": 10}
 
@@ -28,7 +28,7 @@ def scene(seed: int, width: int = 160) -> analytic.AnalyticPair:
     )
 
 
-def lengths(flow: NDArray[np.float32]) -> NDArray[np.float32]:
+def lengths(flow: Float32Array) -> Float32Array:
     return np.asarray(np.linalg.norm(flow, axis=-1))
 
 

@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.methods.baselines.vo_sf import linearise, segment, solve, warp
 from objectflow.methods.baselines.vo_sf.clusters import COUNT, Clusters, cluster
 from objectflow.methods.baselines.vo_sf.pyramid import Level, build_pyramid, make_level
+from objectflow.typing import Float32Array
 
-Floats = NDArray[np.float32]
 CAMERA = Camera(320, 240, 264.0, 264.0, 159.5, 119.5)
 
 
-def frame(depth: Floats, seed: int = 0) -> RgbdFrame:
+def frame(depth: Float32Array, seed: int = 0) -> RgbdFrame:
     color = np.random.default_rng(seed).integers(0, 256, (*depth.shape, 3), dtype=np.uint8)
     return RgbdFrame(color, depth, CAMERA)
 
 
-def two_walls() -> Floats:
+def two_walls() -> Float32Array:
     depth = np.full((240, 320), 2, np.float32)
     depth[60:180, 100:250] = 1.2
     return depth

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 import analytic
 import objectflow
 from objectflow import RgbdFrame, SceneMotion, geometry
 from objectflow.errors import MethodError
+from objectflow.typing import BoolMask, Float64Array
 
 SEEDS = range(100, 112)
 
@@ -24,7 +24,7 @@ class Scored:
     dense_flow: SceneMotion
 
 
-def f_score(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+def f_score(mask: BoolMask, truth: BoolMask) -> float:
     return 2.0 * float((mask & truth).sum()) / float(mask.sum() + truth.sum())
 
 
@@ -190,7 +190,7 @@ def test_bad_options_are_refused() -> None:
         objectflow.load("magic")
 
 
-def painted(frame: RgbdFrame, center: NDArray[np.float64], axes: NDArray[np.float64], *, shadow: bool) -> RgbdFrame:
+def painted(frame: RgbdFrame, center: Float64Array, axes: Float64Array, *, shadow: bool) -> RgbdFrame:
     """The frame with a 12 cm square on the floor: a coloured print without height, or a shadow."""
     offset = geometry.back_project(frame.depth, frame.camera) - center
     s, t = offset @ axes[0], offset @ axes[1]

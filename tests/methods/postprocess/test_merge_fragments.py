@@ -6,18 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import analytic
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.methods.postprocess.merge_fragments import join_pieces
-from objectflow.methods.postprocess.pair_likelihood import STEP, Witness
+from objectflow.methods.postprocess.merge_fragments import merge_fragments
+from objectflow.methods.postprocess.pair_likelihood import DEPTH_STEP, PairLikelihood
 from objectflow.motion import ObjectMotion
-
-Array = NDArray[np.float64]
-Labels = NDArray[np.int32]
+from objectflow.typing import Float64Array, LabelImage
 
 
 def true_objects(pair: analytic.AnalyticPair) -> tuple[ObjectMotion, ...]:
@@ -28,7 +25,7 @@ def true_objects(pair: analytic.AnalyticPair) -> tuple[ObjectMotion, ...]:
     )
 
 
-def cut(pair: analytic.AnalyticPair, number: int, share: float = 0.4) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+def cut(pair: analytic.AnalyticPair, number: int, share: float = 0.4) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """An object's left part becomes an object of its own, with a motion that is off by a millimetre."""
     mask = pair.labels == number
     columns = np.nonzero(mask.any(axis=0))[0]
@@ -48,7 +45,7 @@ def test_an_object_cut_in_two_is_whole_again() -> None:
         pair = analytic.make_scene(seed, objects=(3, 5), depth_noise=0.0015)
         number = max(pair.moving, key=lambda k: int((pair.labels == k).sum()))
         labels, objects = cut(pair, number)
-        out, found = join_pieces(Witness(pair.prev, pair.curr, labels), labels, objects)
+        out, found = merge_fragments(PairLikelihood(pair.prev, pair.curr, labels), labels, objects)
         if len(found) == len(objects):
             continue
         joined += 1
@@ -64,7 +61,7 @@ def test_bodies_of_their_own_stay_apart() -> None:
     for seed in range(51, 57):
         pair = analytic.make_scene(seed, objects=(5, 8), depth_noise=0.0015)
         objects = true_objects(pair)
-        labels, found = join_pieces(Witness(pair.prev, pair.curr, pair.labels), pair.labels, objects)
+        labels, found = merge_fragments(PairLikelihood(pair.prev, pair.curr, pair.labels), pair.labels, objects)
         np.testing.assert_array_equal(labels, pair.labels)
         assert found == objects
 
@@ -73,7 +70,7 @@ CAMERA = Camera(width=80, height=60, fx=80.0, fy=80.0, cx=40.0, cy=30.0)
 SHIFT = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.1])
 
 
-def two_halves(gap: float = 0.0) -> tuple[RgbdFrame, RgbdFrame, Labels]:
+def two_halves(gap: float = 0.0) -> tuple[RgbdFrame, RgbdFrame, LabelImage]:
     """A plate before a wall that came nearer by 10 cm, in two halves, the right one `gap` metres behind the left."""
     prev, curr = np.full((60, 80), 1.5, np.float32), np.full((60, 80), 1.5, np.float32)
     labels = np.zeros((60, 80), np.int32)
@@ -84,7 +81,7 @@ def two_halves(gap: float = 0.0) -> tuple[RgbdFrame, RgbdFrame, Labels]:
     return RgbdFrame(color, prev, CAMERA), RgbdFrame(color, curr, CAMERA), labels
 
 
-def half(number: int, pixels: int, motion: Array = SHIFT, *, moving: bool = True) -> ObjectMotion:
+def half(number: int, pixels: int, motion: Float64Array = SHIFT, *, moving: bool = True) -> ObjectMotion:
     return ObjectMotion(number, pixels, 0.5, moving, np.array([0.0, 0.0, 0.8]), motion)
 
 
@@ -92,7 +89,7 @@ def half(number: int, pixels: int, motion: Array = SHIFT, *, moving: bool = True
     ("gap", "motion", "moving", "count"),
     [
         (0.0, SHIFT, True, 1),
-        (2 * STEP, SHIFT, True, 2),  # no surface goes on from one to the other
+        (2 * DEPTH_STEP, SHIFT, True, 2),  # no surface goes on from one to the other
         (0.0, SHIFT, False, 2),  # one stands still
         (
             0.0,
@@ -102,10 +99,10 @@ def half(number: int, pixels: int, motion: Array = SHIFT, *, moving: bool = True
         ),  # one motion is wrong, the other fits both
     ],
 )
-def test_what_it_takes_to_be_joined(gap: float, motion: Array, moving: bool, count: int) -> None:
+def test_what_it_takes_to_be_joined(gap: float, motion: Float64Array, moving: bool, count: int) -> None:
     prev, curr, labels = two_halves(gap)
     objects = (half(1, 300, motion, moving=moving), half(2, 500))
-    out, found = join_pieces(Witness(prev, curr, labels), labels, objects)
+    out, found = merge_fragments(PairLikelihood(prev, curr, labels), labels, objects)
     assert len(found) == count == len(np.unique(out)) - 1
     if count == 1:
         np.testing.assert_array_equal(out > 0, labels > 0)
@@ -117,14 +114,14 @@ def test_motions_that_explain_nothing_join_nothing() -> None:
     prev, curr, labels = two_halves()
     wrong = geometry.make_transform(np.eye(3), [0.0, 0.0, -0.3])
     objects = (half(1, 300, wrong), half(2, 500, wrong))
-    assert len(join_pieces(Witness(prev, curr, labels), labels, objects)[1]) == 2
+    assert len(merge_fragments(PairLikelihood(prev, curr, labels), labels, objects)[1]) == 2
 
 
 def test_three_pieces_become_one() -> None:
     prev, curr, labels = two_halves()
     labels[20:40, 50:60] = 3
     objects = (half(1, 300), half(2, 300), half(3, 200))
-    out, found = join_pieces(Witness(prev, curr, labels), labels, objects)
+    out, found = merge_fragments(PairLikelihood(prev, curr, labels), labels, objects)
     assert [obj.pixels for obj in found] == [800]
     np.testing.assert_array_equal(out > 0, labels > 0)
 
@@ -134,13 +131,13 @@ def test_contact_is_the_share_of_the_border_where_the_surface_goes_on() -> None:
     _, curr, labels = two_halves()
     depth = curr.depth.copy()
     depth[30:40, 35:60] += 0.05
-    witness = Witness(curr, dataclasses.replace(curr, depth=depth), labels)
-    assert witness.contact(labels == 1) == pytest.approx({2: 0.5})
-    assert witness.contact(labels == 2) == pytest.approx({1: 0.5})
+    likelihood = PairLikelihood(curr, dataclasses.replace(curr, depth=depth), labels)
+    assert likelihood.contact(labels == 1) == pytest.approx({2: 0.5})
+    assert likelihood.contact(labels == 2) == pytest.approx({1: 0.5})
 
 
 def test_nothing_to_join() -> None:
     prev, curr, labels = two_halves()
-    out, found = join_pieces(Witness(prev, curr, labels), labels, ())
+    out, found = merge_fragments(PairLikelihood(prev, curr, labels), labels, ())
     assert found == ()
     np.testing.assert_array_equal(out, labels)

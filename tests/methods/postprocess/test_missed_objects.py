@@ -7,21 +7,20 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import analytic
 from objectflow import geometry
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import COST_HIDDEN
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.methods.consensus.assignment import HIDDEN_BY_KNOWN, Stage
-from objectflow.methods.consensus.estimator import Consensus
-from objectflow.methods.postprocess.missed_objects import find_overlooked
-from objectflow.methods.postprocess.pair_likelihood import Witness
+from objectflow.methods.consensus.assignment import HIDDEN_BY_KNOWN, Assignment
+from objectflow.methods.consensus.estimator import ConsensusEstimator
+from objectflow.methods.postprocess.missed_objects import recover_missed_objects
+from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
-Labels = NDArray[np.int32]
 Objects = tuple[ObjectMotion, ...]
 
 
@@ -39,13 +38,15 @@ def true_objects(pair: analytic.AnalyticPair) -> Objects:
     return tuple(found)
 
 
-def overlap(a: NDArray[np.bool_], b: NDArray[np.bool_]) -> float:
+def overlap(a: BoolMask, b: BoolMask) -> float:
     """F-measure."""
     return float(2 * (a & b).sum() / max(1, a.sum() + b.sum()))
 
 
-def look(pair: analytic.AnalyticPair, labels: Labels, objects: Objects) -> tuple[Labels, Objects]:
-    return find_overlooked(Readied(pair.prev, pair.curr), Witness(pair.prev, pair.curr, labels), labels, objects)
+def look(pair: analytic.AnalyticPair, labels: LabelImage, objects: Objects) -> tuple[LabelImage, Objects]:
+    return recover_missed_objects(
+        FramePair(pair.prev, pair.curr), PairLikelihood(pair.prev, pair.curr, labels), labels, objects
+    )
 
 
 def clear_mover(pair: analytic.AnalyticPair, objects: Objects) -> ObjectMotion:
@@ -118,7 +119,7 @@ def test_where_all_is_explained_nothing_is_sought(monkeypatch: pytest.MonkeyPatc
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("there was nothing to look for")
 
-    monkeypatch.setattr(Consensus, "find", refuse)
+    monkeypatch.setattr(ConsensusEstimator, "find", refuse)
     pair = scene(51)
     grown = cv2.dilate(pair.labels.astype(np.float32), np.ones((5, 5))).astype(np.int32)
     labels = np.where(pair.labels > 0, pair.labels, grown)
@@ -144,11 +145,11 @@ def test_small_neighbours_are_shadows(
     def one_piece(*_: object, **__: object) -> SceneMotion:
         return SceneMotion(beside.astype(np.int32), np.zeros((240, 320, 3), np.float32), (piece,))
 
-    def cost(_: Witness, prev_T_curr: NDArray[np.float64], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    def cost(_: PairLikelihood, prev_T_curr: Float64Array, mask: BoolMask) -> Float32Array:
         return np.full(mask.sum(), 0.0 if np.array_equal(prev_T_curr, motion) else 1.0, np.float32)
 
-    monkeypatch.setattr(Consensus, "find", one_piece)
-    monkeypatch.setattr(Witness, "cost", cost)
+    monkeypatch.setattr(ConsensusEstimator, "find", one_piece)
+    monkeypatch.setattr(PairLikelihood, "cost", cost)
     # Something unexplained has to be there for anyone to look.
     labels = np.where(pair.labels == host.id, pair.labels, np.int32(0))
     after, found = look(pair, labels, (host,))
@@ -160,13 +161,17 @@ def test_consensus_leaves_alone_what_is_known() -> None:
     pair = scene(53)
     known = pair.labels == clear_mover(pair, true_objects(pair)).id
     free, bound = (
-        Consensus(camera="static")(pair.prev, pair.curr),
-        Consensus(camera="static").find(Readied(pair.prev, pair.curr), known=known),
+        ConsensusEstimator(camera="static")(pair.prev, pair.curr),
+        ConsensusEstimator(camera="static").find(FramePair(pair.prev, pair.curr), known=known),
     )
     assert max(overlap(free.labels == obj.id, known) for obj in free.objects) > 0.8
     assert not bound.labels[known].any()
     assert all(overlap(bound.labels == obj.id, known) < 0.1 for obj in bound.objects)
-    assert not Consensus(camera="static").find(Readied(pair.prev, pair.curr), known=np.ones_like(known)).objects
+    assert (
+        not ConsensusEstimator(camera="static")
+        .find(FramePair(pair.prev, pair.curr), known=np.ones_like(known))
+        .objects
+    )
 
 
 def test_what_a_known_mover_hid_may_be_background() -> None:
@@ -179,7 +184,7 @@ def test_what_a_known_mover_hid_may_be_background() -> None:
         frames.append(RgbdFrame(np.full((120, 160, 3), 120, np.uint8), depth, camera))
     box = frames[1].depth < 0.8
     motion = geometry.make_transform(np.eye(3), [-40 / 120 * 0.6, 0, 0])
-    stage = Stage(*frames, None, min_pixels=12)
+    stage = Assignment(*frames, None, min_pixels=12)
     stage.leave_out(box, [(motion, box)])
     stage.assign([], [], [], fine=False)
     assert stage.background_cost[60, 40] == COST_HIDDEN

@@ -6,20 +6,21 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import analytic
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.methods.postprocess.color_proposals import find_places
-from objectflow.methods.postprocess.motion_search import Guesses, distinct, search_motions
-from objectflow.methods.postprocess.pair_likelihood import Witness
-from objectflow.methods.postprocess.search_likelihood import BLIND, COST_FLOATING, SampledCost
+from objectflow.methods.postprocess.color_proposals import propose_positions
+from objectflow.methods.postprocess.motion_search import PoseHypotheses, search_motions, suppress_duplicates
+from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.search_likelihood import (
+    COST_FREE_SPACE_VIOLATION,
+    COST_OUT_OF_VIEW,
+    SearchLikelihood,
+)
 from objectflow.motion import ObjectMotion
-
-Array = NDArray[np.float64]
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 
@@ -30,8 +31,8 @@ def wall(depth: float = 1.0, grey: int = 128) -> RgbdFrame:
 
 def cost_of(prev: RgbdFrame, shift: tuple[float, float, float], grey: int = 128) -> float:
     """Of a point in the middle of a grey wall at a metre, shifted."""
-    frames = SampledCost(prev, wall(grey=grey))
-    point, look = np.array([[0.0, 0.0, 1.0]], np.float32), frames.curr_looks[60:61, 80]
+    frames = SearchLikelihood(prev, wall(grey=grey))
+    point, look = np.array([[0.0, 0.0, 1.0]], np.float32), frames.curr_appearance[60:61, 80]
     (cost,) = frames(np.eye(3)[None], np.array([shift]), point, look, reach=0.02, shade=10.0)
     return float(cost)
 
@@ -43,10 +44,10 @@ def cost_of(prev: RgbdFrame, shift: tuple[float, float, float], grey: int = 128)
         ((0.1, 0, 0), 0.0),  # along the wall
         ((0, 0, 0.02), 0.5),  # reach
         ((0, 0, -0.04), 2.0),  # 0.5 * 2^2, before the wall
-        ((0, 0, -0.061), COST_FLOATING),
-        ((0, 0, 0.041), BLIND),  # behind it
-        ((2.0, 0, 0), BLIND),  # out of the image
-        ((0, 0, -2.0), COST_FLOATING),  # behind the camera, and so before the wall
+        ((0, 0, -0.061), COST_FREE_SPACE_VIOLATION),
+        ((0, 0, 0.041), COST_OUT_OF_VIEW),  # behind it
+        ((2.0, 0, 0), COST_OUT_OF_VIEW),  # out of the image
+        ((0, 0, -2.0), COST_FREE_SPACE_VIOLATION),  # behind the camera, and so before the wall
     ],
 )
 def test_cost_of_depth(shift: tuple[float, float, float], expected: float) -> None:
@@ -62,7 +63,7 @@ def test_cost_of_colour() -> None:
 def test_cost_where_nothing_was_measured() -> None:
     depth = np.full((120, 160), 1.0, np.float32)
     depth[:, 60:100] = 0
-    assert cost_of(dataclasses.replace(wall(), depth=depth), (0, 0, 0)) == BLIND
+    assert cost_of(dataclasses.replace(wall(), depth=depth), (0, 0, 0)) == COST_OUT_OF_VIEW
 
 
 def test_the_place_of_a_red_patch() -> None:
@@ -73,9 +74,9 @@ def test_the_place_of_a_red_patch() -> None:
         color[50:70, column : column + 24] = (200, 30, 30)
         depth[50:70, column : column + 24] = 0.8
         frames.append(RgbdFrame(color, depth, CAMERA))
-    both = SampledCost(*frames)
+    both = SearchLikelihood(*frames)
     points = geometry.back_project(frames[1].depth, CAMERA)[50:70, 90:114].reshape(-1, 3)
-    place = find_places(both, points, both.curr_looks[50:70, 90:114].reshape(-1, 3))[0]
+    place = propose_positions(both, points, both.curr_appearance[50:70, 90:114].reshape(-1, 3))[0]
     true = points.mean(axis=0) - [60 / 120 * 0.8, 0, 0]
     assert np.linalg.norm(place - true) < 0.02
 
@@ -111,7 +112,7 @@ def test_motions_are_found_again() -> None:
     for seed in range(61, 67):
         pair = analytic.make_scene(seed, objects=(3, 5), depth_noise=0.0015, max_angle_deg=30)
         start = tuple(disturbed(obj, 30.0, (0.04, -0.02, 0.02)) if obj.moving else obj for obj in true_objects(pair))
-        found = search_motions(pair.prev, pair.curr, Witness(pair.prev, pair.curr, pair.labels), start)
+        found = search_motions(pair.prev, pair.curr, PairLikelihood(pair.prev, pair.curr, pair.labels), start)
         assert [(one.id, one.score, one.pixels) for one in found] == [(one.id, one.score, one.pixels) for one in start]
         for old, new in zip(start, found, strict=True):
             mask = pair.labels == old.id
@@ -128,7 +129,7 @@ def test_motions_are_found_again() -> None:
 def test_good_motions_stay() -> None:
     pair = analytic.make_scene(62, objects=(3, 5), depth_noise=0.0015)
     start = true_objects(pair)
-    found = search_motions(pair.prev, pair.curr, Witness(pair.prev, pair.curr, pair.labels), start)
+    found = search_motions(pair.prev, pair.curr, PairLikelihood(pair.prev, pair.curr, pair.labels), start)
     for old, new in zip(start, found, strict=True):
         if pair.visible[pair.labels == old.id].mean() > 0.9:
             assert new is old
@@ -145,14 +146,15 @@ def test_no_motion_is_made_up_for_what_was_not_there() -> None:
     color[gone] = 0
     prev = dataclasses.replace(pair.prev, depth=empty, color=color)
     start = (disturbed(obj, 20.0, (0.05, 0.0, 0.0)),)
-    assert search_motions(prev, pair.curr, Witness(prev, pair.curr, pair.labels), start) == start
+    assert search_motions(prev, pair.curr, PairLikelihood(prev, pair.curr, pair.labels), start) == start
 
 
 def test_the_same_frames_give_the_same_motions() -> None:
     pair = analytic.make_scene(61, objects=(3, 3), depth_noise=0.0015)
     start = tuple(disturbed(obj, 30.0, (0.04, 0.0, 0.0)) for obj in true_objects(pair))
     once, again = (
-        search_motions(pair.prev, pair.curr, Witness(pair.prev, pair.curr, pair.labels), start) for _ in range(2)
+        search_motions(pair.prev, pair.curr, PairLikelihood(pair.prev, pair.curr, pair.labels), start)
+        for _ in range(2)
     )
     for a, b in zip(once, again, strict=True):
         np.testing.assert_array_equal(a.prev_T_curr, b.prev_T_curr)
@@ -160,9 +162,9 @@ def test_the_same_frames_give_the_same_motions() -> None:
 
 def test_guesses_that_are_kept_lie_apart() -> None:
     rng = np.random.default_rng(0)
-    guesses = Guesses(Rotation.random(400, random_state=1).as_matrix(), rng.uniform(-0.05, 0.05, (400, 3)))
+    guesses = PoseHypotheses(Rotation.random(400, random_state=1).as_matrix(), rng.uniform(-0.05, 0.05, (400, 3)))
     cost = rng.uniform(size=400)
-    kept = distinct(guesses, cost, 10, np.radians(20), 0.02)
+    kept = suppress_duplicates(guesses, cost, 10, np.radians(20), 0.02)
     assert kept[0] == cost.argmin()
     assert list(cost[kept]) == sorted(cost[kept])
     some = guesses.take(kept)
@@ -174,7 +176,7 @@ def test_guesses_that_are_kept_lie_apart() -> None:
 
 def test_nothing_to_search_for() -> None:
     pair = analytic.make_scene(61, objects=(1, 1))
-    witness = Witness(pair.prev, pair.curr, pair.labels)
-    assert search_motions(pair.prev, pair.curr, witness, ()) == ()
+    likelihood = PairLikelihood(pair.prev, pair.curr, pair.labels)
+    assert search_motions(pair.prev, pair.curr, likelihood, ()) == ()
     blind = dataclasses.replace(true_objects(pair)[0], id=99)
-    assert search_motions(pair.prev, pair.curr, witness, (blind,)) == (blind,)
+    assert search_motions(pair.prev, pair.curr, likelihood, (blind,)) == (blind,)

@@ -14,10 +14,10 @@ import analytic
 import objectflow
 from helpers.small_networks import TINY_RIGID, save, save_rigid
 from objectflow.errors import MethodError
-from objectflow.methods.rigidmatch.decoding import find_objects, matched_flow, select
+from objectflow.methods.rigidmatch.decoding import decode, matched_flow, select
 from objectflow.networks import export
-from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
-from objectflow.networks.rigidmatch.export_form import SolveLater
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
+from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 from objectflow.networks.rigidmatch.network import PRIOR
 from objectflow.networks.rigidmatch.rigid_solver import solve_motions
 from objectflow.networks.weights import load_network, load_weights
@@ -33,7 +33,7 @@ def images() -> list[torch.Tensor]:
     return made
 
 
-def two_squares() -> tuple[RigidOutput, torch.Tensor]:
+def two_squares() -> tuple[RigidMatchOutput, torch.Tensor]:
     """An output that says: two squares side by side, a second claim to the first one, and one that is no object."""
     seen = images()
     with torch.no_grad():
@@ -52,7 +52,7 @@ def two_squares() -> tuple[RigidOutput, torch.Tensor]:
 
 def test_each_pixel_goes_to_the_surest_claim_and_those_left_without_pixels_go() -> None:
     output, _ = two_squares()
-    labels, objects = find_objects(output, (48, 64))
+    labels, objects = decode(output, (48, 64))
     expected = np.zeros((48, 64), np.int32)
     expected[8:24, 8:24], expected[8:24, 24:40] = 1, 2
     np.testing.assert_array_equal(labels, expected)
@@ -62,9 +62,9 @@ def test_each_pixel_goes_to_the_surest_claim_and_those_left_without_pixels_go() 
         np.testing.assert_allclose(one.prev_T_curr[:3, :3], output.rotation[0, k].numpy(), atol=1e-6)
         np.testing.assert_allclose(one.prev_T_curr[:3, 3], output.translation[0, k].numpy(), atol=1e-6)
         np.testing.assert_allclose(one.center, output.anchors[0, k, :3].numpy(), atol=1e-6)
-    assert find_objects(output, (48, 64), threshold=0.9)[1][0].pixels == 256
-    assert len(find_objects(output, (48, 64), threshold=0.9)[1]) == 1
-    assert find_objects(output, (48, 64), min_pixels=300)[1] == ()
+    assert decode(output, (48, 64), threshold=0.9)[1][0].pixels == 256
+    assert len(decode(output, (48, 64), threshold=0.9)[1]) == 1
+    assert decode(output, (48, 64), min_pixels=300)[1] == ()
 
 
 def test_a_pixels_own_flow_is_that_of_its_match() -> None:
@@ -73,7 +73,7 @@ def test_a_pixels_own_flow_is_that_of_its_match() -> None:
     own = seen[..., ::2, ::2]
     output = output._replace(match=own + shift)
     points = seen[0].permute(1, 2, 0).numpy()
-    labels, _ = find_objects(output, (48, 64))
+    labels, _ = decode(output, (48, 64))
     flow = matched_flow(output, seen, 2, labels, points)
     np.testing.assert_allclose(flow[labels > 0], np.broadcast_to([0.01, -0.02, 0.03], (512, 3)), atol=1e-6)
     assert np.isnan(flow[:5, :9]).all()
@@ -118,13 +118,13 @@ def test_the_exported_graph_says_what_the_solve_needs(tmp_path: Path) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
     path, made = tmp_path / "n.onnx", network()
     differences = export.export_onnx(path, made, (48, 64))
-    assert list(differences) == list(SolveLater.OUTPUTS)
+    assert list(differences) == list(ExportableRigidMatch.OUTPUTS)
     assert max(differences.values()) < 1e-4
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     seen = [one[1:] for one in images()]
     found = dict(
         zip(
-            SolveLater.OUTPUTS,
+            ExportableRigidMatch.OUTPUTS,
             session.run(None, {name: one.numpy() for name, one in zip(export.INPUTS, seen, strict=True)}),
             strict=True,
         )

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow.errors import MethodError
 from objectflow.methods.sceneflownet import grouping
 from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
+from objectflow.typing import LabelImage
 
 
-def _obvious(
-    feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor, min_pixels: int
-) -> NDArray[np.int32]:
+def _obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor, min_pixels: int) -> LabelImage:
     """The paper's rule with plain loops in double precision."""
     points = feature.double().flatten(1).T.numpy()
     eta, reach = centrality.flatten().numpy(), radius.double().flatten().numpy()

@@ -10,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 import torch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import analytic
@@ -18,11 +17,12 @@ import objectflow
 from helpers.small_networks import TINY, save
 from objectflow import RgbdFrame, geometry
 from objectflow.errors import MethodError
-from objectflow.geometry.resample import nearest
+from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.network_io import to_tensors
-from objectflow.methods.sceneflownet.decoding import dense_to_motion
+from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.methods.sceneflownet.estimator import SceneFlowEstimator
 from objectflow.motion import SceneMotion
+from objectflow.typing import LabelImage
 from true_maps import Truth
 
 NAME = "sceneflownet-c-vl"
@@ -42,13 +42,13 @@ def scene(width: int = 160, height: int = 120) -> analytic.AnalyticPair:
     return dataclasses.replace(pair, curr=dataclasses.replace(pair.curr, depth=depth))
 
 
-def truthful(weights: Path, pair: analytic.AnalyticPair, labels: NDArray[np.int32], **options: Any) -> Any:
+def truthful(weights: Path, pair: analytic.AnalyticPair, labels: LabelImage, **options: Any) -> Any:
     estimator = objectflow.load(NAME, camera="static", weights=weights, **options)
     object.__setattr__(estimator, "network", Truth(pair, labels))
     return estimator
 
 
-def agree(found: NDArray[np.int32], true: NDArray[np.int32]) -> dict[int, int]:
+def agree(found: LabelImage, true: LabelImage) -> dict[int, int]:
     """Found label -> true label, by the most pixels; each once."""
     pairs = {int(k): int(np.bincount(true[found == k]).argmax()) for k in np.unique(found[found > 0])}
     assert len(set(pairs.values())) == len(pairs)
@@ -130,14 +130,14 @@ def test_dense_to_motion_is_what_the_estimator_does_without_resizing(weights: Pa
     for rigid in ("none", "average"):
         expected = dataclasses.replace(estimator, rigid=rigid)
         object.__setattr__(expected, "network", estimator.network)
-        one, other = dense_to_motion(maps, points, rigid=rigid), expected(pair.prev, pair.curr)
+        one, other = decode(maps, points, rigid=rigid), expected(pair.prev, pair.curr)
         np.testing.assert_array_equal(one.labels, other.labels)
         np.testing.assert_array_equal(one.scene_flow, other.scene_flow)
         assert [a.to_dict() for a in one.objects] == [b.to_dict() for b in other.objects]
     with pytest.raises(MethodError, match="one pair's maps and points are needed"):
-        dense_to_motion(maps, points[..., :-1])
+        decode(maps, points[..., :-1])
     with pytest.raises(MethodError, match="rigid must be none or average here, not 'refine'"):
-        dense_to_motion(maps, points, rigid="refine")  # type: ignore[arg-type]
+        decode(maps, points, rigid="refine")  # type: ignore[arg-type]
 
 
 def test_predictions_that_are_not_finite_are_background(weights: Path) -> None:
@@ -148,7 +148,7 @@ def test_predictions_that_are_not_finite_are_background(weights: Path) -> None:
     for name in ("rotation", "translation", "center", "radius", "centrality", "mask"):
         value = getattr(maps, name).clone()
         value[:, :, 40:60, 60:90] = torch.nan
-        motion = dense_to_motion(maps._replace(**{name: value}), points)
+        motion = decode(maps._replace(**{name: value}), points)
         assert not motion.labels[40:60, 60:90].any()
         assert np.isfinite(motion.scene_flow[pair.curr.valid]).all()
         assert motion.objects
@@ -195,7 +195,7 @@ def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
 
 def test_nearest_is_the_nearest_centre() -> None:
     for source, size in (((5, 9), (11, 4)), ((6, 6), (6, 6)), ((3, 4), (30, 41))):
-        for got, n, m in zip(nearest(source, size), source, size, strict=True):
+        for got, n, m in zip(nearest_indices(source, size), source, size, strict=True):
             centers, wanted = (np.arange(n) + 0.5) / n, (np.arange(m) + 0.5) / m
             distance = np.abs(centers[None] - wanted[:, None])
             np.testing.assert_allclose(distance[np.arange(m), got], distance.min(axis=1), atol=1e-12)

@@ -16,7 +16,7 @@ from helpers.small_networks import TINY_RIGID
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean, dual_softmax_mean_of_product
-from objectflow.networks.rigidmatch.inputs import Grid, cells, describe, grid
+from objectflow.networks.rigidmatch.inputs import Grid, cells, encode_inputs, grid
 from objectflow.networks.rigidmatch.matching import GlobalMatching
 from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.seeds import choose_seeds
@@ -75,7 +75,7 @@ def test_normals_of_a_plane_face_the_camera() -> None:
     ray = torch.cat([cells(9, 12, torch.device("cpu")) / 10 - 0.5, torch.ones(1, 9, 12)])
     points = ray * (-0.9 / (normal[:, None, None] * ray).sum(0))
     points[:, 4, 6] = torch.nan
-    image, safe, valid = describe(torch.zeros(1, 3, 9, 12), points[None], 4)
+    image, safe, valid = encode_inputs(torch.zeros(1, 3, 9, 12), points[None], 4)
     assert image.shape == (1, 8, 12, 12)
     found = image[0, 5:, 1:8, 1:11]
     alone = torch.ones(7, 10, dtype=torch.bool)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from objectflow import geometry
 from objectflow.errors import MethodError
-from objectflow.networks import DenseMotion, NetworkSettings, SceneFlowNet, scene_flow
+from objectflow.networks import NetworkSettings, SceneFlowNet, SceneFlowNetOutput, scene_flow
 from objectflow.networks.sceneflownet.decoder import Hourglass
 from objectflow.networks.sceneflownet.network import expected_displacement, fill_holes
 
@@ -48,7 +48,7 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
     out = network(*_frames(height, width))
-    channels = DenseMotion(3, 3, 3, 2, 2, 1)  # type: ignore[arg-type]
+    channels = SceneFlowNetOutput(3, 3, 3, 2, 2, 1)  # type: ignore[arg-type]
     for name, value in out._asdict().items():
         assert value.shape == (2, getattr(channels, name), height, width), name
         assert torch.isfinite(value).all(), name

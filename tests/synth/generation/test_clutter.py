@@ -18,7 +18,7 @@ from objectflow.dataset.schema import PairRow
 from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
 from objectflow.geometry.symmetry import SymmetryAxis
-from objectflow.synth.generation.clutter_maker import WildScenes
+from objectflow.synth.generation.clutter_maker import ClutterScenes
 from objectflow.synth.generation.frame_pairs import pick_moment
 from objectflow.synth.generation.tasks import Task
 from objectflow.synth.objects.mixed_library import MixedLibrary
@@ -217,7 +217,7 @@ def test_meshes_are_mixed_in_by_their_share() -> None:
 
 @pytest.fixture(scope="module")
 def rows() -> list[PairRow]:
-    make = WildScenes(0, "val", replace(SMALL, motionless=0.4, moving_camera=0.5), samples=1)()
+    make = ClutterScenes(0, "val", replace(SMALL, motionless=0.4, moving_camera=0.5), samples=1)()
     made = [row for scene in range(8) for row in make(Task("pairs", scene)).rows]
     return [PairRow.from_dict(row) for row in made]
 
@@ -259,7 +259,7 @@ def test_what_nothing_touches_looks_the_same_twice_before_a_still_camera(rows: l
 
 
 def test_the_same_seed_gives_the_same_row(rows: list[PairRow]) -> None:
-    make = WildScenes(0, "val", replace(SMALL, motionless=0.4, moving_camera=0.5), samples=1)()
+    make = ClutterScenes(0, "val", replace(SMALL, motionless=0.4, moving_camera=0.5), samples=1)()
     again = PairRow.from_dict(make(Task("pairs", 5)).rows[0])
     np.testing.assert_array_equal(again.curr.color, rows[5].curr.color)
     np.testing.assert_array_equal(again.curr.depth, rows[5].curr.depth)
@@ -271,6 +271,6 @@ def test_settings_and_sequences_that_cannot_be() -> None:
     with pytest.raises(DatasetError, match="shares"):
         WildSettings(motionless=1.5)
     with pytest.raises(DatasetError, match="split"):
-        WildScenes(0, "holdout")
+        ClutterScenes(0, "holdout")
     with pytest.raises(DatasetError, match="sequences"):
-        WildScenes(0, "val", SMALL)()(Task("sequences", 0))
+        ClutterScenes(0, "val", SMALL)()(Task("sequences", 0))

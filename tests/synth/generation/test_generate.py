@@ -20,10 +20,10 @@ from objectflow.dataset.shards import open_pairs, open_sequences
 from objectflow.errors import DatasetError, ObjectflowError, StorageError
 from objectflow.runtime.pool import InProcess, Pool, Processes
 from objectflow.synth.generation import generate as generating
-from objectflow.synth.generation.generate import Job, Progress, generate
+from objectflow.synth.generation.generate import GenerationJob, GenerationProgress, generate
 
 SCRIPT = Path(fake_scenes.__file__)
-PAIRS, SEQUENCES = Job("pairs", "train", 20, 1), Job("sequences", "train", 5, len(FRAMES))
+PAIRS, SEQUENCES = GenerationJob("pairs", "train", 20, 1), GenerationJob("sequences", "train", 5, len(FRAMES))
 
 
 @pytest.fixture(autouse=True)
@@ -40,12 +40,12 @@ def content(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def run(out: Path, pool: Pool, jobs: tuple[Job, ...] = (PAIRS, SEQUENCES)) -> Manifest | None:
+def run(out: Path, pool: Pool, jobs: tuple[GenerationJob, ...] = (PAIRS, SEQUENCES)) -> Manifest | None:
     return generate(out, jobs, pool, seed=0, settings=SETTINGS)
 
 
 def test_layout_counts_and_order(tmp_path: Path, pool: Pool) -> None:
-    seen: list[Progress] = []
+    seen: list[GenerationProgress] = []
     made = generate(tmp_path / "a", [PAIRS, SEQUENCES], pool, seed=0, settings=SETTINGS, report=seen.append)
     assert sorted(content(tmp_path / "a")) == [
         "manifest.json",
@@ -73,7 +73,7 @@ def test_layout_counts_and_order(tmp_path: Path, pool: Pool) -> None:
 
 
 def test_views_share_a_scene_and_stay_in_one_shard(tmp_path: Path) -> None:
-    job = Job("pairs", "train", 13, 3)
+    job = GenerationJob("pairs", "train", 13, 3)
     made = generate(tmp_path / "a", [job], InProcess(FakeScenes(views=3)), seed=0, settings=SETTINGS)
     assert made is not None
     assert [shard.rows for shard in made.parts["train"].shards] == [6, 6, 1]
@@ -179,7 +179,7 @@ def test_finished_shards_are_kept_and_a_removed_one_is_made_again(tmp_path: Path
 
 def test_splits_of_one_seed_share_a_folder(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "a", pool, (PAIRS,))
-    made = run(tmp_path / "a", pool, (Job("pairs", "val", 3, 1),))
+    made = run(tmp_path / "a", pool, (GenerationJob("pairs", "val", 3, 1),))
     assert made is not None
     assert sorted(made.parts) == ["train", "val"]
     assert manifests.verify(tmp_path / "a", made) == 4
@@ -200,7 +200,7 @@ def test_a_folder_of_another_run_is_refused_and_left_alone(
     run(tmp_path / "a", pool)
     before = content(tmp_path / "a")
     with pytest.raises(DatasetError, match=message):
-        generate(tmp_path / "a", [Job("pairs", "train", count, 1)], pool, seed=seed, settings=settings)
+        generate(tmp_path / "a", [GenerationJob("pairs", "train", count, 1)], pool, seed=seed, settings=settings)
     assert content(tmp_path / "a") == before
 
 
@@ -209,7 +209,7 @@ def test_a_file_in_the_folders_place_and_no_rows_are_refused(tmp_path: Path, poo
     with pytest.raises(DatasetError, match="is a file, not a folder"):
         run(tmp_path / "file", pool)
     with pytest.raises(DatasetError, match="pairs must be at least 1, not 0"):
-        run(tmp_path / "a", pool, (Job("pairs", "train", 0, 1),))
+        run(tmp_path / "a", pool, (GenerationJob("pairs", "train", 0, 1),))
     assert not (tmp_path / "a").exists()
 
 

@@ -9,7 +9,6 @@ from collections import Counter
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, cKDTree
 
 from objectflow.errors import DatasetError
@@ -17,6 +16,7 @@ from objectflow.geometry.se3 import so3_exp
 from objectflow.synth.objects.model import ModelRef, ObjectModel
 from objectflow.synth.objects.procedural import CATEGORIES, ProceduralLibrary, open_library
 from objectflow.synth.objects.symmetry_detection import closest_on_triangles, detect
+from objectflow.typing import Float64Array
 
 LIBRARY = ProceduralLibrary()
 NUMBERS = range(8)
@@ -32,7 +32,7 @@ def merged(model: ObjectModel) -> trimesh.Trimesh:
     return mesh
 
 
-def outside_distance(points: NDArray[np.float64], hull: NDArray[np.float64]) -> NDArray[np.float64]:
+def outside_distance(points: Float64Array, hull: Float64Array) -> Float64Array:
     """Metres beyond the furthest plane of a hull; negative inside. A lower bound of the distance."""
     equations = ConvexHull(hull).equations
     return np.asarray((points @ equations[:, :3].T + equations[:, 3]).max(axis=1))

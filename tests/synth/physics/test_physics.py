@@ -32,6 +32,7 @@ from objectflow.synth.scenes.textures import TextureSpec
 mujoco = pytest.importorskip("mujoco", reason="physics needs the extra [synth]")
 
 from objectflow.synth.physics.mjcf import build_model  # noqa: E402
+from objectflow.typing import Float64Array
 
 ENGINES = ("mujoco", "bullet")
 DENSITY = 500.0
@@ -161,9 +162,7 @@ def test_the_same_scene_falls_the_same_way_and_loses_energy() -> None:
     )
 
 
-def recording(
-    position: NDArray[np.float64], energy: NDArray[np.float64] | None = None, depth: float = 0.0
-) -> Recording:
+def recording(position: Float64Array, energy: Float64Array | None = None, depth: float = 0.0) -> Recording:
     """From positions (L + 1, 3) of one object."""
     poses = np.tile(np.eye(4), (len(position), 1, 1, 1))
     poses[:, 0, :3, 3] = position
@@ -171,7 +170,7 @@ def recording(
     return Recording(poses, np.full(len(position), depth), energies)
 
 
-def path(**axes: NDArray[Any]) -> NDArray[np.float64]:
+def path(**axes: NDArray[Any]) -> Float64Array:
     result = np.tile((0.0, 0.0, 0.1), (91, 1))
     for axis, values in axes.items():
         result[:, "xyz".index(axis)] = values
@@ -237,7 +236,7 @@ def test_the_model_of_a_scene() -> None:
 
 
 @pytest.mark.parametrize("part", [CORNERS * (0.05, 0.03, 0), CORNERS[:2], CORNERS * np.nan])
-def test_a_part_that_is_no_solid_is_named(part: NDArray[np.float64]) -> None:
+def test_a_part_that_is_no_solid_is_named(part: Float64Array) -> None:
     good = box_model(0.05, 0.03, 0.02)
     bad = dataclasses.replace(good, name="chairs/flat.obj", parts=(*good.parts, part))
     scene = scene_of(place(good, (0, 0, 0.2)), place(bad, (0.3, 0, 0.2)))

@@ -21,12 +21,13 @@ pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
 from objectflow.synth.objects.procedural import open_library  # noqa: E402
 from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays  # noqa: E402
 from objectflow.synth.rendering.renderer import Renderer  # noqa: E402
+from objectflow.typing import Float64Array, UInt8Array
 
 WIDTH, HEIGHT = 96, 72
 AMBIENT, DIFFUSE = 0.25, 0.5
 
 
-def look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> NDArray[np.float64]:
+def look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> Float64Array:
     """world_T_camera, x right, y down, z forward."""
     forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
     right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.999 else (0, 1, 0))
@@ -67,7 +68,7 @@ def empty_scene(light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
 
 
 def add_object(
-    spec: Any, number: int, vertices: NDArray[Any], faces: NDArray[Any], uv: NDArray[Any], texture: NDArray[np.uint8]
+    spec: Any, number: int, vertices: NDArray[Any], faces: NDArray[Any], uv: NDArray[Any], texture: UInt8Array
 ) -> None:
     """One object, textured, with a hull in group 3 that is twice its size and must not be seen."""
     name = f"{number}"
@@ -112,7 +113,7 @@ def cube_scene(half: float, light: tuple[float, float, float] = (0.3, -0.4, 1.5)
     return spec.compile()
 
 
-def poses(*positions: tuple[float, float, float]) -> NDArray[np.float64]:
+def poses(*positions: tuple[float, float, float]) -> Float64Array:
     """(1, N, 4, 4), not turned."""
     result = np.tile(np.eye(4), (1, len(positions), 1, 1))
     result[0, :, :3, 3] = positions

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 mujoco = pytest.importorskip("mujoco", reason="this needs the extra [synth]")
@@ -17,6 +16,7 @@ pytest.importorskip("mujoco_warp", reason="this needs the extra [synth]")
 from objectflow.synth.rendering.placement import Placement, object_numbers  # noqa: E402
 from objectflow.synth.rendering.warp_scene import MARGIN, TracedModel, tighten  # noqa: E402
 from objectflow.synth.rendering.warp_setup import import_tracer  # noqa: E402
+from objectflow.typing import Float32Array
 
 HALF = (0.03, 0.02, 0.01)
 
@@ -88,6 +88,6 @@ def test_boxes_fit_the_meshes_in_every_world_and_nothing_else_changes() -> None:
     assert refitted
 
 
-def assert_box(lower: NDArray[np.float32], upper: NDArray[np.float32], low: Any, high: Any) -> None:
+def assert_box(lower: Float32Array, upper: Float32Array, low: Any, high: Any) -> None:
     np.testing.assert_allclose(lower, np.array(low) - MARGIN, atol=1e-6)
     np.testing.assert_allclose(upper, np.array(high) + MARGIN, atol=1e-6)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
@@ -25,6 +25,7 @@ from objectflow.synth.objects.procedural import open_library
 from objectflow.synth.scenes.appearance import draw_lights
 from objectflow.synth.scenes.initial_layout import CLEARANCE, Box, hang, meeting_heights
 from objectflow.synth.scenes.paper_scene import Scene, SceneSettings, View, draw_scene, draw_scene_and_models
+from objectflow.typing import Float64Array
 
 SETTINGS = SceneSettings()
 
@@ -87,7 +88,7 @@ def test_a_view_looks_at_its_target_with_the_image_level() -> None:
         view = View((0.02, -0.01, 0.03), 0.5, azimuth, elevation, 0.0)
         camera_T_world = inverse(view.world_T_camera)
 
-        def pixel(point: ArrayLike, camera_T_world: NDArray[np.float64] = camera_T_world) -> NDArray[np.float64]:
+        def pixel(point: ArrayLike, camera_T_world: Float64Array = camera_T_world) -> Float64Array:
             return project(camera_T_world[:3, :3] @ np.asarray(point) + camera_T_world[:3, 3], camera)
 
         assert np.linalg.det(view.world_T_camera[:3, :3]) == pytest.approx(1)

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.errors import DatasetError
 from objectflow.evaluation.data.archives import read_archive
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_truth
+from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
 from objectflow.frame import RgbdFrame
 from objectflow.readers.pair import is_pair, open_pair
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 TRUTH = "truth.npz"
 
@@ -142,15 +141,15 @@ def _truth(
                 rotation_known=bool((known is None or known[k]) and not is_ball and names[k] not in translation_only),
             )
         )
-    everything = make_truth(folder.name, curr, labels, objects, background_prev_T_curr=background)
+    everything = make_pair_truth(folder.name, curr, labels, objects, background_prev_T_curr=background)
     flags = _flags(arrays, "moving", count, where)
     moving = everything.moving if flags is None else {k + 1 for k in range(count) if flags[k]}
     labels = np.where(np.isin(labels, list(moving)), labels, 0).astype(np.int32)
     kept = [obj for obj in objects if obj.label in moving]
-    return make_truth(folder.name, curr, labels, kept, background_prev_T_curr=background, moving=-1.0)
+    return make_pair_truth(folder.name, curr, labels, kept, background_prev_T_curr=background, moving=-1.0)
 
 
-def find_center(points: NDArray[np.floating[Any]]) -> tuple[Array, bool]:
+def find_center(points: NDArray[np.floating[Any]]) -> tuple[Float64Array, bool]:
     """Where translations of an object are compared, and whether it is a ball.
 
     Args:
@@ -176,7 +175,7 @@ def find_center(points: NDArray[np.floating[Any]]) -> tuple[Array, bool]:
     return median, False
 
 
-def _array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], where: Path) -> Array:
+def _array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | None, ...], where: Path) -> Float64Array:
     if name not in arrays:
         raise DatasetError(f"{where}: {name} is missing; there is: {', '.join(sorted(arrays))}")
     array = arrays[name]
@@ -187,14 +186,14 @@ def _array(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int | Non
     return array.astype(np.float64)
 
 
-def _labels(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], where: Path) -> NDArray[np.int32]:
+def _labels(arrays: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], where: Path) -> LabelImage:
     values = _array(arrays, name, shape, where)
     if arrays[name].dtype.kind not in "iu" or values.min(initial=0) < 0 or values.max(initial=0) > 65535:
         raise DatasetError(f"{where}: {name} must hold whole numbers in 0..65535")
     return values.astype(np.int32)
 
 
-def _flags(arrays: Mapping[str, NDArray[Any]], name: str, count: int, where: Path) -> NDArray[np.bool_] | None:
+def _flags(arrays: Mapping[str, NDArray[Any]], name: str, count: int, where: Path) -> BoolMask | None:
     if name not in arrays:
         return None
     flags = arrays[name]

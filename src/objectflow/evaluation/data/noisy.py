@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from objectflow.errors import DatasetError
-from objectflow.evaluation.data.sources import PairSet, Window
+from objectflow.evaluation.data.sources import PairSet, PairWindow
 from objectflow.evaluation.results import EvaluationPair
 from objectflow.frame import RgbdFrame
 from objectflow.sensors.sensor import SENSORS, ColorSensor, observe
@@ -46,7 +46,7 @@ class NoisyPairs:
         prev, curr = self._seen([exact.prev, exact.curr], key)
         return dataclasses.replace(exact, prev=prev, curr=curr)
 
-    def window(self, key: str) -> Window | None:
+    def window(self, key: str) -> PairWindow | None:
         """See `PairSet`."""
         window = self._pairs.window(key)
         return window and window._replace(frames=tuple(self._seen(window.frames, key)))

@@ -28,7 +28,7 @@ PAPER_FRAMES = (20, 80)
 """The previous and the current frame of a sequence of TestSeq; methods that want more see the others as well."""
 
 
-class Window(NamedTuple):
+class PairWindow(NamedTuple):
     """A pair within its sequence: all frames, and the places of the previous and the current one among them."""
 
     frames: tuple[RgbdFrame, ...]
@@ -60,7 +60,7 @@ class PairSet(Protocol):
         """
         ...
 
-    def window(self, key: str) -> Window | None:
+    def window(self, key: str) -> PairWindow | None:
         """The sequence around the pair; None where the set has no sequences."""
         ...
 
@@ -113,7 +113,7 @@ class GeneratedPairs:
         row = self._shards[_index_of(key, self._index, self.data)]
         return EvaluationPair(row.prev, row.curr, truth_of_row(row))
 
-    def window(self, key: str) -> Window | None:
+    def window(self, key: str) -> PairWindow | None:
         """See `PairSet`."""
         return None
 
@@ -160,10 +160,10 @@ class GeneratedSequences:
         row = pair_of_frames(self._shards[rows[prev]], self._shards[rows[curr]])
         return EvaluationPair(row.prev, row.curr, truth_of_row(row))
 
-    def window(self, key: str) -> Window:
+    def window(self, key: str) -> PairWindow:
         """See `PairSet`."""
         sequence, prev, curr = self._place(key)
-        return Window(tuple(self._shards[row].image for row in self._rows[sequence]), prev, curr)
+        return PairWindow(tuple(self._shards[row].image for row in self._rows[sequence]), prev, curr)
 
     def _place(self, key: str) -> tuple[str, int, int]:
         if key not in self._places:
@@ -196,7 +196,7 @@ class RealPairs:
             raise DatasetError(f"{self._paths[key]}: its {TRUTH} has gone")
         return EvaluationPair(real.prev, real.curr, real.truth)
 
-    def window(self, key: str) -> Window | None:
+    def window(self, key: str) -> PairWindow | None:
         """See `PairSet`."""
         return None
 

@@ -6,15 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.dataset.moving_objects import keep_labels, moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float32Array, Float64Array, Int64Array, LabelImage
 
 MOVING = 0.005
 """Metres: an object moves whose visible pixels moved further than this on average, against the background."""
@@ -34,9 +32,9 @@ class TrueObject:
     """
 
     label: int
-    center: Array
-    prev_T_curr: Array
-    axes: Array
+    center: Float64Array
+    prev_T_curr: Float64Array
+    axes: Float64Array
     orders: tuple[int, ...]
     in_both: bool
     rotation_known: bool = True
@@ -59,21 +57,21 @@ class PairTruth:
 
     key: str
     scene: str
-    labels: NDArray[np.int32]
-    scene_flow: NDArray[np.float32]
+    labels: LabelImage
+    scene_flow: Float32Array
     objects: tuple[TrueObject, ...]
-    masked: NDArray[np.bool_]
+    masked: BoolMask
     moving: frozenset[int]
-    background_prev_T_curr: Array | None = None
+    background_prev_T_curr: Float64Array | None = None
 
 
-def make_truth(
+def make_pair_truth(
     key: str,
     curr: RgbdFrame,
-    labels: NDArray[np.int32],
+    labels: LabelImage,
     objects: Sequence[TrueObject],
     *,
-    background_prev_T_curr: Array | None = None,
+    background_prev_T_curr: Float64Array | None = None,
     scene: str | None = None,
     moving: float = MOVING,
 ) -> PairTruth:
@@ -123,7 +121,7 @@ def truth_of_row(row: PairRow) -> PairTruth:
         DatasetError: a label without an object.
     """
     kept, camera = moving_labels(row), row.camera_motion
-    return make_truth(
+    return make_pair_truth(
         row.key,
         row.curr,
         row.curr_labels if camera is None else keep_labels(row.curr_labels, kept),
@@ -146,11 +144,11 @@ def truth_of_row(row: PairRow) -> PairTruth:
 
 
 def _flow_and_shifts(
-    points: NDArray[np.float32],
-    labels: NDArray[np.int32],
+    points: Float32Array,
+    labels: LabelImage,
     objects: Sequence[TrueObject],
-    background_prev_T_curr: Array | None,
-) -> tuple[NDArray[np.float32], list[float]]:
+    background_prev_T_curr: Float64Array | None,
+) -> tuple[Float32Array, list[float]]:
     """The flow, (H, W, 3), and for each object the metres by which it leaves the background's motion on average.
 
     Object by object on its own pixels, not on the whole image: scoring spends its time here.
@@ -171,7 +169,7 @@ def _flow_and_shifts(
     return flow, shifts
 
 
-def _pixels_by_label(labels: NDArray[np.int32]) -> list[NDArray[np.int64]]:
+def _pixels_by_label(labels: LabelImage) -> list[Int64Array]:
     """Flat indices of each label's pixels, in the image's order; one sort for all labels."""
     flat = labels.ravel()
     order = np.argsort(flat.astype(np.uint16) if flat.max(initial=0) < 1 << 16 else flat, kind="stable")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
+
+from objectflow.typing import Int64Array, LabelImage
 
 TOLERANCE = 0.003
 """Share of the image's diagonal by which outlines are dilated; rounded up to whole pixels."""
-
-Pixels = NDArray[np.int64]
 
 
 def tolerance_pixels(height: int, width: int) -> int:
@@ -18,7 +17,7 @@ def tolerance_pixels(height: int, width: int) -> int:
     return math.ceil(TOLERANCE * math.hypot(height, width))
 
 
-def outlines(labels: NDArray[np.int32]) -> dict[int, Pixels]:
+def outlines(labels: LabelImage) -> dict[int, Int64Array]:
     """The outline of every object: label -> (N, 2) pixels as (row, column).
 
     A pixel is on a mask's outline where the mask changes between it and its right, lower or lower right neighbour,
@@ -33,7 +32,7 @@ def outlines(labels: NDArray[np.int32]) -> dict[int, Pixels]:
     return {int(label): pixels[(values == label).any(0)] for label in np.unique(values) if label != 0}
 
 
-def count_near(pixels: Pixels, others: Pixels, radius: int, height: int, width: int) -> int:
+def count_near(pixels: Int64Array, others: Int64Array, radius: int, height: int, width: int) -> int:
     """How many of `pixels` (N, 2) lie within `radius` of one of `others` (M, 2), Euclidean; of an image's size."""
     reach = np.arange(-radius, radius + 1)
     dy, dx = np.meshgrid(reach, reach, indexing="ij")
@@ -44,5 +43,5 @@ def count_near(pixels: Pixels, others: Pixels, radius: int, height: int, width: 
     return int(np.count_nonzero(near[_flat(pixels, radius, stride)]))
 
 
-def _flat(pixels: Pixels, radius: int, stride: int) -> Pixels:
+def _flat(pixels: Int64Array, radius: int, stride: int) -> Int64Array:
     return np.asarray((pixels[:, 0] + radius) * stride + pixels[:, 1] + radius)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 THRESHOLDS_CM = (1.0, 5.0, 10.0)
 """Shares of pixels with a smaller end point error are reported."""
@@ -44,9 +44,7 @@ class FlowScore:
     moving: PixelScore
 
 
-def score_flow(
-    predicted: NDArray[np.float32], true: NDArray[np.float32], masked: NDArray[np.bool_], moving: NDArray[np.bool_]
-) -> FlowScore:
+def score_flow(predicted: Float32Array, true: Float32Array, masked: BoolMask, moving: BoolMask) -> FlowScore:
     """Score the scene flow of one image.
 
     Args:
@@ -74,13 +72,13 @@ def score_flow(
     )
 
 
-def end_point_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
+def end_point_errors(predicted: Float64Array, true: Float64Array) -> Float64Array:
     """L2 distance of two (3, N) flows, in cm; inputs in metres."""
     du, dv, dw = predicted - true
     return np.asarray(100 * np.sqrt(du * du + dv * dv + dw * dw))
 
 
-def angular_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
+def angular_errors(predicted: Float64Array, true: Float64Array) -> Float64Array:
     """Angle in degrees between (u, v, w, 1) of two (3, N) flows in metres.
 
     As the arctangent of sine over cosine, since an arccosine loses small angles: the square of |a||b| sin is the sum
@@ -92,20 +90,18 @@ def angular_errors(predicted: NDArray[np.float64], true: NDArray[np.float64]) ->
     return np.asarray(np.degrees(np.arctan2(np.sqrt(minors), u * x + v * y + w * z + 1)))
 
 
-def _components(flow: NDArray[np.float32], there: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _components(flow: Float32Array, there: BoolMask) -> Float64Array:
     """(3, N) u, v and w of the pixels that count, each in one piece of memory: the metrics are twice as fast on it."""
     flat = flow.reshape(-1, 3)
     return np.ascontiguousarray((flat if there.all() else flat[there.ravel()]).T, dtype=np.float64)
 
 
-def _finite(flow: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _finite(flow: Float32Array) -> BoolMask:
     finite = np.isfinite(flow)
     return np.asarray(finite[..., 0] & finite[..., 1] & finite[..., 2])
 
 
-def _pixel_score(
-    epe: NDArray[np.float64], aae: NDArray[np.float64], pick: NDArray[np.bool_], pixels: int
-) -> PixelScore:
+def _pixel_score(epe: Float64Array, aae: Float64Array, pick: BoolMask, pixels: int) -> PixelScore:
     epe, aae = epe[pick], aae[pick]
     under = tuple(int((epe < limit).sum()) for limit in THRESHOLDS_CM)
     if len(epe) == 0:

@@ -8,7 +8,7 @@ import numpy as np
 
 from objectflow.dataset.moving_objects import keep_labels
 from objectflow.evaluation.data.truth import PairTruth
-from objectflow.evaluation.metrics.region_matching import assign, compare
+from objectflow.evaluation.metrics.region_matching import assign_regions, compare
 from objectflow.evaluation.metrics.segmentation_metrics import EXTRACTED
 from objectflow.motion import SceneMotion
 
@@ -54,7 +54,7 @@ def score_movers(predicted: SceneMotion, truth: PairTruth) -> MoverScore:
     both = {obj.label for obj in truth.objects if obj.in_both}
     wanted = np.array([int(label) in both for label in regions.true_ids], dtype=np.bool_)
     wanted &= regions.true_sizes >= LEAST_SHARE * true.size
-    pairs = assign(regions)
+    pairs = assign_regions(regions)
     found = sum(bool(wanted[i]) and regions.f[i, j] >= EXTRACTED for i, j in pairs)
     excused = sum(not wanted[i] for i, _ in pairs)
     return MoverScore(int(wanted.sum()), len(regions.predicted_ids) - excused, found, not truth.moving)

@@ -9,7 +9,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
-from objectflow.evaluation.metrics.segmentation_metrics import Match
+from objectflow.evaluation.metrics.segmentation_metrics import ObjectMatch
 from objectflow.evaluation.metrics.symmetry_error import rotation_error
 from objectflow.motion import ObjectMotion
 
@@ -42,7 +42,7 @@ class ObjectError:
 
 
 def score_objects(
-    predicted: Iterable[ObjectMotion], truth: PairTruth, matches: Iterable[Match]
+    predicted: Iterable[ObjectMotion], truth: PairTruth, matches: Iterable[ObjectMatch]
 ) -> tuple[ObjectError, ...]:
     """The error of every matched object that is visible in both frames; one seen in one frame shows no motion.
 

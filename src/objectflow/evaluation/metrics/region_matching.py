@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from objectflow.errors import ResultError
-
-Counts = NDArray[np.int64]
+from objectflow.typing import Float64Array, Int64Array, LabelImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +22,14 @@ class Regions:
         overlap: (N, M) pixels that two regions share.
     """
 
-    true_ids: Counts
-    predicted_ids: Counts
-    true_sizes: Counts
-    predicted_sizes: Counts
-    overlap: Counts
+    true_ids: Int64Array
+    predicted_ids: Int64Array
+    true_sizes: Int64Array
+    predicted_sizes: Int64Array
+    overlap: Int64Array
 
     @property
-    def f(self) -> NDArray[np.float64]:
+    def f(self) -> Float64Array:
         """(N, M) F-measure of every two regions; 2PR / (P + R) is 2 |r n c| / (|r| + |c|)."""
         return np.asarray(2 * self.overlap / (self.true_sizes[:, None] + self.predicted_sizes))
 
@@ -47,7 +45,7 @@ class Regions:
         )
 
 
-def compare(true: NDArray[np.int32], predicted: NDArray[np.int32]) -> Regions:
+def compare(true: LabelImage, predicted: LabelImage) -> Regions:
     """Count how the regions of two label images overlap.
 
     Args:
@@ -65,7 +63,7 @@ def compare(true: NDArray[np.int32], predicted: NDArray[np.int32]) -> Regions:
     return Regions(true_ids, predicted_ids, overlap.sum(1), overlap.sum(0), overlap)
 
 
-def assign(regions: Regions) -> list[tuple[int, int]]:
+def assign_regions(regions: Regions) -> list[tuple[int, int]]:
     """The one-to-one pairs (true index, predicted index) with the largest sum of F (Hungarian method).
 
     Two regions without a common pixel are no pair: the true one counts as unmatched, the predicted one as surplus.
@@ -74,7 +72,7 @@ def assign(regions: Regions) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if regions.overlap[i, j] > 0]
 
 
-def _number_regions(labels: NDArray[np.int32], name: str) -> tuple[Counts, Counts]:
+def _number_regions(labels: LabelImage, name: str) -> tuple[Int64Array, Int64Array]:
     """The labels in order of their first pixel, and every pixel's index into them, flat."""
     if labels.dtype.kind not in "iu":
         raise ResultError(f"{name} labels must be integers, not {labels.dtype}")

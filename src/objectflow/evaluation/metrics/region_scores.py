@@ -6,11 +6,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.evaluation.data.truth import PairTruth
 from objectflow.evaluation.metrics.flow_metrics import end_point_errors
-from objectflow.evaluation.metrics.segmentation_metrics import Match
+from objectflow.evaluation.metrics.segmentation_metrics import ObjectMatch
+from objectflow.typing import Float32Array
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RegionScore:
 
 
 def score_regions(
-    predicted: NDArray[np.float32], truth: PairTruth, matches: Iterable[Match]
+    predicted: Float32Array, truth: PairTruth, matches: Iterable[ObjectMatch]
 ) -> tuple[RegionScore, ...]:
     """Score every object of the truth.
 

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from objectflow.evaluation.metrics.boundary import count_near, outlines, tolerance_pixels
-from objectflow.evaluation.metrics.region_matching import Regions, assign, compare
+from objectflow.evaluation.metrics.region_matching import Regions, assign_regions, compare
+from objectflow.typing import LabelImage
 
 EXTRACTED = 0.75
 """The F-measure from which an object counts as extracted."""
@@ -24,7 +22,7 @@ class PRF(NamedTuple):
     f: float
 
 
-class Match(NamedTuple):
+class ObjectMatch(NamedTuple):
     """A predicted object that stands for a true one, and their F-measure."""
 
     true: int
@@ -59,10 +57,10 @@ class SegmentationScore:
     overlap_extracted: int
     true_objects: int
     predicted_objects: int
-    matches: tuple[Match, ...]
+    matches: tuple[ObjectMatch, ...]
 
 
-def score_segmentation(true: NDArray[np.int32], predicted: NDArray[np.int32]) -> SegmentationScore:
+def score_segmentation(true: LabelImage, predicted: LabelImage) -> SegmentationScore:
     """Score one label image; how regions are numbered does not matter, only that 0 is the background.
 
     Args:
@@ -72,13 +70,14 @@ def score_segmentation(true: NDArray[np.int32], predicted: NDArray[np.int32]) ->
         ResultError: images of two sizes, or labels that are negative or no integers.
     """
     regions = compare(true, predicted)
-    pairs = assign(regions)
+    pairs = assign_regions(regions)
     f = regions.f
     of_objects = [f[i, j] for i, j in pairs if regions.true_ids[i] != 0]
     objects = regions.without_background()
-    object_pairs = assign(objects)
+    object_pairs = assign_regions(objects)
     matches = tuple(
-        Match(int(objects.true_ids[i]), int(objects.predicted_ids[j]), float(objects.f[i, j])) for i, j in object_pairs
+        ObjectMatch(int(objects.true_ids[i]), int(objects.predicted_ids[j]), float(objects.f[i, j]))
+        for i, j in object_pairs
     )
     return SegmentationScore(
         fbms=_fbms(regions, pairs),
@@ -123,7 +122,7 @@ def _overlap(objects: Regions, pairs: Sequence[tuple[int, int]]) -> PRF:
     return _of_counts(matched, int(objects.predicted_sizes.sum()), matched, int(objects.true_sizes.sum()))
 
 
-def _boundary(true: NDArray[np.int32], predicted: NDArray[np.int32], matches: Sequence[Match]) -> PRF:
+def _boundary(true: LabelImage, predicted: LabelImage, matches: Sequence[ObjectMatch]) -> PRF:
     true_lines, predicted_lines = outlines(true), outlines(predicted)
     height, width = true.shape
     radius = tolerance_pixels(height, width)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from objectflow.errors import GeometryError
 from objectflow.geometry.se3 import rotation_angle, so3_exp
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 _ALIGNED = np.deg2rad(2.0)
 """Axes nearer than this to parallel or to a right angle are meant to be: axes found on meshes are not exact."""
@@ -43,7 +42,7 @@ def rotation_error(predicted: ArrayLike, true: ArrayLike, axes: ArrayLike = (), 
     return float(np.degrees(rotation_angle(np.swapaxes(turn_group(a, orders), -1, -2) @ E).min()))
 
 
-def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Array:
+def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
     """(G, 3, 3): every turn of the finite group that C_n axes generate, the identity first.
 
     Raises:
@@ -67,7 +66,7 @@ def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Array:
     return group
 
 
-def _new_turns(candidates: Array, known: Array, same: float) -> Array:
+def _new_turns(candidates: Float64Array, known: Float64Array, same: float) -> Float64Array:
     """The candidates that differ from all known turns and from each other."""
     floor = 1 + 2 * np.cos(same)  # trace(A^T B) = 1 + 2 cos of the angle between A and B
     new = candidates[~(_traces(candidates, known) > floor).any(1)]
@@ -79,13 +78,15 @@ def _new_turns(candidates: Array, known: Array, same: float) -> Array:
     return np.asarray(new[fresh])
 
 
-def _traces(a: Array, b: Array) -> Array:
+def _traces(a: Float64Array, b: Float64Array) -> Float64Array:
     """(A, 3, 3) and (B, 3, 3) -> (A, B): trace(a^T b) of every two."""
-    product: Array = a.reshape(-1, 9) @ b.reshape(-1, 9).T
+    product: Float64Array = a.reshape(-1, 9) @ b.reshape(-1, 9).T
     return product
 
 
-def _error_of_revolution(E: Array, continuous: Sequence[Array], others: Sequence[tuple[Array, int]]) -> float:
+def _error_of_revolution(
+    E: Float64Array, continuous: Sequence[Float64Array], others: Sequence[tuple[Float64Array, int]]
+) -> float:
     """The least angle of E up to turns about a continuous axis: how far E tilts that axis."""
     axis = continuous[0]
     may_flip = False
@@ -102,7 +103,7 @@ def _error_of_revolution(E: Array, continuous: Sequence[Array], others: Sequence
     return float(np.degrees(min(tilt, np.pi - tilt) if may_flip else tilt))
 
 
-def _unit_axes(axes: ArrayLike, orders: Sequence[int]) -> Array:
+def _unit_axes(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
     a = np.asarray(axes, dtype=np.float64).reshape(-1, 3)
     if len(a) != len(orders) or any(order < 0 or order == 1 for order in orders):
         raise GeometryError(f"{len(a)} symmetry axes need an order each, 0 or at least 2, not {list(orders)}")

@@ -6,19 +6,16 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import fitting, matching, registration
 from objectflow.alignment.camera_motion import background_motion
-from objectflow.alignment.matching import Matches
+from objectflow.alignment.matching import PixelMatches
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.methods.base import check_camera_option
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 _MOVED = 0.005
 """Metres of mean displacement against the background from which an object is said to move."""
@@ -35,7 +32,7 @@ class OracleMasks:
         seed: of the random minimal sets.
     """
 
-    labels: NDArray[np.int32]
+    labels: LabelImage
     camera: str = "auto"
     match_width: int = 640
     seed: int = 0
@@ -55,10 +52,10 @@ class OracleMasks:
         if self.labels.shape != curr.depth.shape:
             raise ResultError(f"true labels {self.labels.shape} do not fit the frame {curr.depth.shape}")
         # 1. Match and lift, at the width of `consensus`.
-        prev_m, curr_m = prev.narrowed(self.match_width), curr.narrowed(self.match_width)
+        prev_m, curr_m = prev.downscaled_to_width(self.match_width), curr.downscaled_to_width(self.match_width)
         labels_m = _narrow_labels(self.labels, curr_m.depth.shape)
         along_flow, features = _flow_matches(prev_m, curr_m), matching.feature_matches(prev_m, curr_m)
-        target, sources = registration.Target(prev_m), registration.Sources(curr_m)
+        target, sources = registration.RegistrationTarget(prev_m), registration.RegistrationSources(curr_m)
         # 2. The background from what is background in truth.
         rng = np.random.default_rng(self.seed)
         behind = _only(curr_m, labels_m == 0)
@@ -88,8 +85,12 @@ class OracleMasks:
 
 
 def _fit(
-    target: registration.Target, source: registration.Source, along_flow: Matches, features: Matches, background: Array
-) -> registration.Refined:
+    target: registration.RegistrationTarget,
+    source: registration.RegistrationSource,
+    along_flow: PixelMatches,
+    features: PixelMatches,
+    background: Float64Array,
+) -> registration.RegistrationResult:
     """Refine from the fits to matches and from the background's motion; what explains most of the object stands.
 
     Flow and features fail apart: features on dull things, flow on objects that moved far, where it still agrees with
@@ -99,10 +100,12 @@ def _fit(
     starts = [background]
     starts += [fitting.fit_matches(m, target.camera)[0] for m in (matches, features) if len(m.curr) >= 6]
     refined = [registration.refine(target, source, start, matches=matches) for start in starts]
-    return max(refined, key=lambda r: r.explained * r.visible)
+    return max(refined, key=lambda r: r.fitness * r.visible)
 
 
-def _describe(label: int, pixels: int, found: registration.Refined, points: Array, background: Array) -> ObjectMotion:
+def _describe(
+    label: int, pixels: int, found: registration.RegistrationResult, points: Float64Array, background: Float64Array
+) -> ObjectMotion:
     center, shift = np.zeros(3), 0.0
     if len(points):
         center = points.mean(axis=0)
@@ -111,33 +114,33 @@ def _describe(label: int, pixels: int, found: registration.Refined, points: Arra
     return ObjectMotion(
         id=label,
         pixels=pixels,
-        score=round(found.explained, 4),
+        score=round(found.fitness, 4),
         moving=shift > _MOVED,
         center=center,
         prev_T_curr=found.prev_T_curr,
     )
 
 
-def _narrow_labels(labels: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int32]:
+def _narrow_labels(labels: LabelImage, shape: tuple[int, ...]) -> LabelImage:
     """Labels at the pixels that `RgbdFrame.resized` takes depth from."""
     rows = ((np.arange(shape[0]) + 0.5) * labels.shape[0] / shape[0]).astype(int)
     columns = ((np.arange(shape[1]) + 0.5) * labels.shape[1] / shape[1]).astype(int)
     return np.asarray(labels[rows[:, None], columns[None, :]])
 
 
-def _flow_matches(prev: RgbdFrame, curr: RgbdFrame) -> Matches:
+def _flow_matches(prev: RgbdFrame, curr: RgbdFrame) -> PixelMatches:
     """Flow on a grid twice as fine as that of `consensus`: small objects need their matches."""
     flow, consistent = matching.dense_flow(matching.gray(prev.color), matching.gray(curr.color))
     return matching.flow_matches(flow, consistent, prev, curr, stride=4)
 
 
-def _inside(matches: Matches, mask: Mask) -> Matches:
+def _inside(matches: PixelMatches, mask: BoolMask) -> PixelMatches:
     columns, rows = np.rint(matches.pixels).astype(int).T
     height, width = mask.shape
     return matches[mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]]
 
 
-def _only(frame: RgbdFrame, mask: Mask) -> RgbdFrame | None:
+def _only(frame: RgbdFrame, mask: BoolMask) -> RgbdFrame | None:
     """The frame with depth only inside a mask; None where there would be none."""
     depth = np.where(mask, frame.depth, np.float32(0))
     if not (depth > 0).any():

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import ResultError
@@ -16,8 +15,7 @@ from objectflow.frame import RgbdFrame, check_pair
 from objectflow.methods.sceneflownet.averaging import average_motions
 from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import SceneMotion
-
-Floats = NDArray[np.float32]
+from objectflow.typing import Float32Array, Float64Array
 
 RADIUS_ALONE = 0.5
 """B in metres of an object without another one to be told from."""
@@ -37,7 +35,7 @@ class OracleMotion:
     """
 
     truth: PairTruth
-    background_prev_T_curr: NDArray[np.float64] | None = None
+    background_prev_T_curr: Float64Array | None = None
     settings: GroupingSettings | None = None
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
@@ -76,7 +74,7 @@ class OracleMotion:
             seconds=time.perf_counter() - start,
         )
 
-    def _maps(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def _maps(self) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
         """X, T and R as (H, W, 3) and B as (H, W): half the distance to the nearest other trajectory (equation 6)."""
         objects = self.truth.objects
         table = np.zeros((int(self.truth.labels.max(initial=0)) + 1, 10), np.float32)
@@ -93,6 +91,6 @@ class OracleMotion:
         return dense[..., :3], dense[..., 3:6], dense[..., 6:9], np.ascontiguousarray(dense[..., 9])
 
 
-def _to_torch(dense: Floats) -> torch.Tensor:
+def _to_torch(dense: Float32Array) -> torch.Tensor:
     """(H, W, 3) -> (3, H, W)."""
     return torch.from_numpy(np.ascontiguousarray(dense.transpose(2, 0, 1)))

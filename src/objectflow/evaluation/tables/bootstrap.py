@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from objectflow.errors import DatasetError
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 DRAWS = 1000
 COVERAGE = 0.95
@@ -50,7 +49,7 @@ class Bootstrap:
         self._scene = np.array([numbers[name] for name in scenes])
         self._seed = int(rng.integers(1 << 62))
         self._draws = draws
-        self._kept: Array | None = None
+        self._kept: Float64Array | None = None
 
     def mean(self, values: ArrayLike) -> Interval:
         """Of one value a pair; NaN leaves a pair out."""
@@ -68,7 +67,7 @@ class Bootstrap:
         sums = np.stack([np.asarray(precisions, np.float64), np.asarray(recalls, np.float64)], axis=1)
         count = len(self._scene)
 
-        def of(P: Array, R: Array) -> Array:
+        def of(P: Float64Array, R: Float64Array) -> Float64Array:
             return np.where(P + R > 0, _divide(2 * P * R, P + R), 0.0)
 
         return _interval(
@@ -88,7 +87,7 @@ class Bootstrap:
         draws = np.concatenate([_weighted_median(x, w[:, owner]) for w in self._weights(len(x))])
         return _interval(np.asarray(np.median(x)), draws)
 
-    def _weights(self, width: int = 1) -> Iterator[Array]:
+    def _weights(self, width: int = 1) -> Iterator[Float64Array]:
         """How often each pair is in each resample, (some draws, pairs), in blocks; the same at every call."""
         block = max(1, _BLOCK // max(len(self._scene), width))
         if self._draws * len(self._scene) <= _BLOCK:  # drawing takes longer than what is done with the draws
@@ -98,7 +97,7 @@ class Bootstrap:
         else:
             yield from self._draw(block)
 
-    def _draw(self, block: int) -> Iterator[Array]:
+    def _draw(self, block: int) -> Iterator[Float64Array]:
         rng = np.random.default_rng(self._seed)
         count = int(self._scene.max()) + 1
         for start in range(0, self._draws, block):
@@ -106,12 +105,12 @@ class Bootstrap:
             yield rng.multinomial(count, np.full(count, 1 / count), size=size).astype(np.float64)[:, self._scene]
 
 
-def _divide(numerator: Array, denominator: Array) -> Array:
+def _divide(numerator: Float64Array, denominator: Float64Array) -> Float64Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(np.where(np.asarray(denominator) > 0, numerator / denominator, np.nan))
 
 
-def _weighted_median(x: Array, weights: Array) -> Array:
+def _weighted_median(x: Float64Array, weights: Float64Array) -> Float64Array:
     """The median of rising values x (N,), each repeated weights[d, n] times, for every draw d; NaN where none is."""
     rising = np.cumsum(weights, axis=1)
     half = rising[:, -1:] / 2
@@ -120,7 +119,7 @@ def _weighted_median(x: Array, weights: Array) -> Array:
     return np.asarray(np.where(half[:, 0] > 0, (x[lower] + x[upper]) / 2, np.nan))
 
 
-def _interval(value: Array, draws: Array) -> Interval:
+def _interval(value: Float64Array, draws: Float64Array) -> Interval:
     draws = draws[np.isfinite(draws)]
     if len(draws) == 0 or not np.isfinite(value):
         return Interval(float(value), float("nan"), float("nan"))

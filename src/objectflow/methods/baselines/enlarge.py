@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Floats = NDArray[np.float32]
+from objectflow.typing import Float32Array
 
 _SURFACE = 0.02
 """Of the depth: a neighbour this much nearer or further counts a third (1/e)."""
 
 
-def enlarge(values: Floats, small_depth: Floats, large_depth: Floats) -> Floats:
+def upsample_guided(values: Float32Array, small_depth: Float32Array, large_depth: Float32Array) -> Float32Array:
     """Interpolate maps to another size, between neighbours that lie on the pixel's own surface.
 
     Args:

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from objectflow import geometry
-from objectflow.alignment.likelihood import COST_FLOATING, COST_HIDDEN, EVERYWHERE, Box, Look, motion_cost
+from objectflow.alignment.likelihood import (
+    COST_FREE_SPACE_VIOLATION,
+    COST_HIDDEN,
+    EVERYWHERE,
+    AppearanceFeatures,
+    Box,
+    motion_cost,
+)
 from objectflow.frame import RgbdFrame
 from objectflow.methods.consensus.pixel_graph import PixelGraph, split_regions
-
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
 
 OBJECT_PRIOR = 0.3
 """Cost of any object's motion over the background's: undecided pixels are background."""
@@ -22,26 +25,28 @@ HIDDEN_BY_KNOWN = 0.6
 """Cost of having been hidden behind an object that is known to have been there."""
 
 
-class Stage:
+class Assignment:
     """The two frames at the size where pixels are assigned, with what every round needs of them."""
 
-    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Array | None, *, min_pixels: int) -> None:
+    def __init__(
+        self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Float64Array | None, *, min_pixels: int
+    ) -> None:
         self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
         self.background = np.eye(4) if camera_motion is None else camera_motion
-        self._others: list[tuple[Array, Mask]] = []
-        self._costs: dict[tuple[bytes, bool], tuple[Box, Floats]] = {}
+        self._others: list[tuple[Float64Array, BoolMask]] = []
+        self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self.points = geometry.back_project(curr.depth, curr.camera)
         self.valid = curr.valid
         self.graph = PixelGraph(curr)
-        self.looks = Look(prev.color), Look(curr.color)
-        self.background_cost, self.hidden = motion_cost(prev, self.points, self.background, self.looks)
+        self.appearance = AppearanceFeatures(prev.color), AppearanceFeatures(curr.color)
+        self.background_cost, self.hidden = motion_cost(prev, self.points, self.background, self.appearance)
         self.rival_cost = self.background_cost
         # Before a static camera what was hidden is uncovered by a moving thing; a moving camera uncovers by itself.
         self.camera_moved = camera_motion is not None
         self.telling = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
 
-    def leave_out(self, mask: Mask, others: list[tuple[Array, Mask]]) -> None:
+    def leave_out(self, mask: BoolMask, others: list[tuple[Float64Array, BoolMask]]) -> None:
         """Take pixels for background that fits, whatever the frames say there; `others` move and hid background."""
         self._others = others
         self.background_cost = np.where(mask, np.float32(0), self.background_cost)
@@ -49,17 +54,17 @@ class Stage:
         self.rival_cost = self.background_cost
         self.telling = self.telling | mask
 
-    def cost(self, prev_T_curr: Array, box: Box = EVERYWHERE, *, color: bool = True) -> Floats:
+    def cost(self, prev_T_curr: Float64Array, box: Box = EVERYWHERE, *, color: bool = True) -> Float32Array:
         """(H, W) cost of a motion within a box, ruled out elsewhere; see `motion_cost`."""
         key = (prev_T_curr.tobytes(), color)
         if key not in self._costs or not _within(box, self._costs[key][0]):
-            looks = self.looks if color else None
-            cost = np.full(self.valid.shape, COST_FLOATING, np.float32)
-            cost[box] = motion_cost(self.prev, self.points, prev_T_curr, looks, box)[0]
+            appearance = self.appearance if color else None
+            cost = np.full(self.valid.shape, COST_FREE_SPACE_VIOLATION, np.float32)
+            cost[box] = motion_cost(self.prev, self.points, prev_T_curr, appearance, box)[0]
             self._costs[key] = box, cost
         return self._costs[key][1]
 
-    def around(self, points: Floats) -> Box:
+    def around(self, points: Float32Array) -> Box:
         """The box of pixels within a few times `reach` of points (N, 3)."""
         pixels = geometry.project(points, self.curr.camera)
         margin = 3.2 * self.reach * self.curr.camera.fx / max(0.1, float(points[:, 2].min()))
@@ -70,8 +75,8 @@ class Stage:
         return slice(top, bottom), slice(left, right)
 
     def assign(
-        self, motions: list[Array], anchors: list[Floats], masks: list[Mask], *, fine: bool
-    ) -> NDArray[np.int32]:
+        self, motions: list[Float64Array], anchors: list[Float32Array], masks: list[BoolMask], *, fine: bool
+    ) -> LabelImage:
         """Labels by cost, nearness and the walk along surfaces.
 
         Args:
@@ -91,13 +96,13 @@ class Stage:
         probability = self.graph.walk(np.stack(costs), fine=fine)
         return np.asarray(probability.argmax(0), dtype=np.int32)
 
-    def anchors(self, mask: Mask, motion: Array) -> Floats:
+    def anchors(self, mask: BoolMask, motion: Float64Array) -> Float32Array:
         """(N, 3) points of a mask that its motion explains and the background's cannot."""
         cost = self.cost(motion, self.around(self.points[mask & self.valid]))
         decided = mask & self.valid & (self.rival_cost - cost > 1)
         return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
 
-    def _background_cost_given(self, motions: list[Array], masks: list[Mask]) -> Floats:
+    def _background_cost_given(self, motions: list[Float64Array], masks: list[BoolMask]) -> Float32Array:
         """The background's cost when objects are known: what they hid in `prev` may well be background.
 
         Then being hidden costs only what the object's colours say: on a dull surface every motion finds the colour
@@ -114,11 +119,11 @@ class Stage:
         spread = cv2.dilate(occupied, np.ones((5, 5)))
         column, row, _ = self.pixels_in_prev(self.background, self.points)
         expected = self.hidden & (spread[row, column] > 0)
-        texture = np.minimum(self.looks[1].contrast[0] / 25, 1)
+        texture = np.minimum(self.appearance[1].contrast[0] / 25, 1)
         cost = HIDDEN_BY_KNOWN + (COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
         return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
 
-    def pixels_in_prev(self, motion: Array, points: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Mask]:
+    def pixels_in_prev(self, motion: Float64Array, points: Float32Array) -> tuple[IndexArray, IndexArray, BoolMask]:
         """Column and row in `prev` of points under a motion, clipped to the image, and whether they lie inside."""
         pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), self.prev.camera), nan=-9)
         height, width = self.valid.shape
@@ -126,7 +131,7 @@ class Stage:
         inside_image = (column >= 0) & (row >= 0) & (column < width) & (row < height)
         return np.clip(column, 0, width - 1), np.clip(row, 0, height - 1), inside_image
 
-    def split(self, labels: NDArray[np.int32]) -> list[tuple[int, Mask]]:
+    def split(self, labels: LabelImage) -> list[tuple[int, BoolMask]]:
         """The separate objects of each label; see `split_regions`."""
         return split_regions(labels, self.points, self.graph, min_pixels=self.min_pixels, gap=max(0.03, self.reach))
 
@@ -140,7 +145,7 @@ def _within(box: Box, other: Box) -> bool:
     return all(o.start <= b.start and b.stop <= o.stop for b, o in zip(box, other, strict=True))
 
 
-def nearness_cost(points: Floats, anchors: Floats, reach: float) -> Floats:
+def nearness_cost(points: Float32Array, anchors: Float32Array, reach: float) -> Float32Array:
     """Up to 4: distance of each pixel's point from the nearest point that is known to follow the motion.
 
     Args:

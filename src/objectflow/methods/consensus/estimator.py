@@ -12,40 +12,37 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
 from objectflow.alignment.camera_motion import background_motion
-from objectflow.alignment.frame_pair import Readied
-from objectflow.alignment.matching import Matches, inside
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.depth_noise import match_sigma
-from objectflow.geometry.resample import enlarge
+from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.base import check_camera_option
 from objectflow.methods.consensus import selection
-from objectflow.methods.consensus.assignment import Stage
+from objectflow.methods.consensus.assignment import Assignment
 from objectflow.methods.consensus.proposals import propose
-from objectflow.methods.consensus.unexplained import seek
-from objectflow.methods.mask_edges import sharpen
+from objectflow.methods.consensus.unexplained import recover_unexplained
+from objectflow.methods.mask_edges import upsample_labels
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 
 class Hypothesis(NamedTuple):
     """One moving object on the way: a motion, points that follow it, and its mask once there is one."""
 
-    prev_T_curr: Array
-    anchors: NDArray[np.float32]
-    matches: Matches
-    mask: Mask | None = None
+    prev_T_curr: Float64Array
+    anchors: Float32Array
+    matches: PixelMatches
+    mask: BoolMask | None = None
 
 
 @dataclass(frozen=True)
-class Consensus:
+class ConsensusEstimator:
     """The training-free estimator.
 
     Attributes:
@@ -72,15 +69,15 @@ class Consensus:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
-        return self.find(Readied(prev, curr, self.match_width))
+        return self.find(FramePair(prev, curr, self.match_width))
 
     def find(
-        self, ready: Readied, *, known: Mask | None = None, others: Sequence[tuple[Array, Mask]] = ()
+        self, pair: FramePair, *, known: BoolMask | None = None, others: Sequence[tuple[Float64Array, BoolMask]] = ()
     ) -> SceneMotion:
         """What moves among pixels that nothing else explains.
 
         Args:
-            ready: the frames, as wide as they were made ready; `match_width` says nothing here.
+            pair: the frames, as wide as they were made ready; `match_width` says nothing here.
             known: (H, W) bool of the current frame: pixels that are spoken for. Nothing is looked for there, and the
                 result has background there.
             others: `prev_T_curr` and (H, W) mask of each object that is known to move: what it hid may be background.
@@ -89,11 +86,11 @@ class Consensus:
             FrameError: the frames differ in size or intrinsics.
         """
         start = time.perf_counter()
-        prev, curr = ready.prev, ready.curr
+        prev, curr = pair.prev, pair.curr
         check_pair(prev, curr)
         rng = np.random.default_rng(self.seed)
         # 1. Match the frames and lift the matches by depth.
-        curr_m, matches, target, sources = ready.curr_m, ready.matches, ready.target, ready.sources
+        curr_m, matches, target, sources = pair.curr_small, pair.matches, pair.target, pair.sources
         # 2. The background first: what moves is what does not follow it.
         camera_motion = background_motion(matches, target, curr_m, camera=self.camera, rng=rng)
         background = np.eye(4) if camera_motion is None else camera_motion
@@ -105,22 +102,28 @@ class Consensus:
             Hypothesis(p.prev_T_curr, p.matches.curr, p.matches) for p in propose(movers, curr_m.camera, rng=rng)
         ]
         # 4. Pixels to motions, motions from pixels.
-        prev_s, curr_s = prev.narrowed(self.label_width), curr.narrowed(self.label_width)
-        stage = Stage(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
+        prev_s, curr_s = prev.downscaled_to_width(self.label_width), curr.downscaled_to_width(self.label_width)
+        assignment = Assignment(prev_s, curr_s, camera_motion, min_pixels=self._min_pixels(curr_s))
         if known is not None:
-            stage.leave_out(enlarge(known, curr_s), [(motion, enlarge(mask, curr_s)) for motion, mask in others])
-        masks: list[Mask] = []
+            assignment.leave_out(
+                upsample_mask(known, curr_s), [(motion, upsample_mask(mask, curr_s)) for motion, mask in others]
+            )
+        masks: list[BoolMask] = []
         for number in range(self.rounds):
             fine = number + 1 == self.rounds
-            masks, hypotheses = self._assign_and_refine(stage, hypotheses, target, sources, curr_m, movers, fine=fine)
+            masks, hypotheses = self._assign_and_refine(
+                assignment, hypotheses, target, sources, curr_m, movers, fine=fine
+            )
             if not fine:
                 motions = [h.prev_T_curr for h in hypotheses]
-                more = seek(stage, masks, motions, target, sources, curr_m, movers)
-                hypotheses += [Hypothesis(f.prev_T_curr, stage.points[f.mask], f.matches, f.mask) for f in more]
+                more = recover_unexplained(assignment, masks, motions, target, sources, curr_m, movers)
+                hypotheses += [Hypothesis(f.prev_T_curr, assignment.points[f.mask], f.matches, f.mask) for f in more]
         # 5. Keep what stands: objects that moved, and regions that no motion explains.
-        labels_s, objects = selection.settle(stage, masks, [h.prev_T_curr for h in hypotheses], target, movers)
+        labels_s, objects = selection.select_objects(
+            assignment, masks, [h.prev_T_curr for h in hypotheses], target, movers
+        )
         # 6. The full image: sharp labels, and the flow made again from the motions.
-        labels = sharpen(labels_s, curr_s, curr)
+        labels = upsample_labels(labels_s, curr_s, curr)
         if known is not None:
             labels = np.where(known, np.int32(0), labels)
         return self._result(curr, labels, objects, camera_motion, start)
@@ -130,41 +133,41 @@ class Consensus:
 
     def _assign_and_refine(
         self,
-        stage: Stage,
+        assignment: Assignment,
         hypotheses: list[Hypothesis],
-        target: registration.Target,
-        sources: registration.Sources,
+        target: registration.RegistrationTarget,
+        sources: registration.RegistrationSources,
         curr: RgbdFrame,
-        movers: Matches,
+        movers: PixelMatches,
         *,
         fine: bool,
-    ) -> tuple[list[Mask], list[Hypothesis]]:
+    ) -> tuple[list[BoolMask], list[Hypothesis]]:
         """One round: the masks of the present motions, and each mask's motion refined."""
         if not hypotheses:
             return [], []
         known = [h.mask for h in hypotheses if h.mask is not None]
         motions, anchors = [h.prev_T_curr for h in hypotheses], [h.anchors for h in hypotheses]
-        labels = stage.assign(motions, anchors, known, fine=fine)
-        masks: list[Mask] = []
+        labels = assignment.assign(motions, anchors, known, fine=fine)
+        masks: list[BoolMask] = []
         refined: list[Hypothesis] = []
-        for label, mask in stage.split(labels):
+        for label, mask in assignment.split(labels):
             start = motions[label - 1]
             own = movers[inside(mask, movers, curr.camera)]
-            source = sources.take(enlarge(mask, curr), limit=2000)
+            source = sources.take(upsample_mask(mask, curr), limit=2000)
             if len(own.curr) >= 6:
                 start = _better_start(start, own, curr)
             motion = registration.refine(target, source, start, matches=own).prev_T_curr
-            refined.append(Hypothesis(motion, stage.anchors(mask, motion), own, mask))
+            refined.append(Hypothesis(motion, assignment.anchors(mask, motion), own, mask))
             masks.append(mask)
-        kept = selection.prune(stage, masks, [h.prev_T_curr for h in refined])
+        kept = selection.prune(assignment, masks, [h.prev_T_curr for h in refined])
         return [masks[k] for k in kept], [refined[k] for k in kept]
 
     def _result(
         self,
         curr: RgbdFrame,
-        labels: NDArray[np.int32],
-        objects: list[selection.Verdict],
-        camera_motion: Array | None,
+        labels: LabelImage,
+        objects: list[selection.Selection],
+        camera_motion: Float64Array | None,
         start: float,
     ) -> SceneMotion:
         points = geometry.back_project(curr.depth, curr.camera)
@@ -197,19 +200,19 @@ class Consensus:
         )
 
 
-def _moving(matches: Matches, background: Array, curr: RgbdFrame) -> Matches:
+def _moving(matches: PixelMatches, background: Float64Array, curr: RgbdFrame) -> PixelMatches:
     """Matches that the background's motion leaves further off than noise does."""
     error = np.linalg.norm(geometry.transform(background, matches.curr) - matches.prev, axis=1)
     return matches[error > 3 * match_sigma(matches.curr[:, 2], curr.camera)]
 
 
-def _better_start(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> Array:
+def _better_start(prev_T_curr: Float64Array, matches: PixelMatches, curr: RgbdFrame) -> Float64Array:
     """The matches' own fit, if it beats the motion so far by more than six free parameters would by chance."""
     fitted = fitting.fit_matches(matches, curr.camera)[0]
     gain = _misfit(prev_T_curr, matches, curr) - _misfit(fitted, matches, curr)
     return fitted if gain > max(6.0, 0.1 * len(matches.curr)) else prev_T_curr
 
 
-def _misfit(prev_T_curr: Array, matches: Matches, curr: RgbdFrame) -> float:
+def _misfit(prev_T_curr: Float64Array, matches: PixelMatches, curr: RgbdFrame) -> float:
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
     return float(np.minimum(error / match_sigma(matches.curr[:, 2], curr.camera), 3).sum())

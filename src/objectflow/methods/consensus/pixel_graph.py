@@ -6,7 +6,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
@@ -16,11 +15,9 @@ from objectflow import geometry
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import depth_sigma
 from objectflow.geometry.normals import surface_normals
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-
-_BOND = 30.0
+_EDGE_WEIGHT = 30.0
 """Strength of the tie between two pixels of one smooth, evenly coloured surface, against 1 for a certain pixel."""
 
 
@@ -57,8 +54,8 @@ class PixelGraph:
 
     @staticmethod
     def _tie(
-        depth: Floats, points: Floats, normals: Floats, color: Floats, here: Any, there: Any
-    ) -> tuple[Array, NDArray[np.bool_]]:
+        depth: Float32Array, points: Float32Array, normals: Float32Array, color: Float32Array, here: Any, there: Any
+    ) -> tuple[Float64Array, BoolMask]:
         z0, z1 = depth[here], depth[there]
         both = (z0 > 0) & (z1 > 0)
         gap = np.abs(z0 - z1)
@@ -70,12 +67,12 @@ class PixelGraph:
             crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < 0.97)
         change = np.abs(color[here] - color[there]).max(-1)
         # A colour edge alone never cuts through: it may be print. Depth steps and creases do.
-        tie = _BOND * (0.12 + 0.88 * np.exp(-((change / 25) ** 2))) * np.exp(-((gap / allowed) ** 2)) + 0.02
+        tie = _EDGE_WEIGHT * (0.12 + 0.88 * np.exp(-((change / 25) ** 2))) * np.exp(-((gap / allowed) ** 2)) + 0.02
         tie = np.where(crease, 0.15 * tie, tie)
-        tie = np.where(both, tie, 0.05 * _BOND * np.exp(-((change / 15) ** 2)) + 0.02)
+        tie = np.where(both, tie, 0.05 * _EDGE_WEIGHT * np.exp(-((change / 15) ** 2)) + 0.02)
         return np.where(step, 0.01, tie), step
 
-    def walk(self, costs: Floats, *, fine: bool = True) -> Floats:
+    def walk(self, costs: Float32Array, *, fine: bool = True) -> Float32Array:
         """Random walker with priors (Grady, CVPR 2005): the share of walks from a pixel that end in each motion.
 
         Args:
@@ -92,13 +89,13 @@ class PixelGraph:
         walked = self._two_grid(pull, (prior * pull).T, cycles=2 if fine else 0)
         return np.asarray(walked.T.reshape(costs.shape), dtype=np.float32)
 
-    def _two_grid(self, pull: Array, right: Array, *, cycles: int) -> Array:
+    def _two_grid(self, pull: Float64Array, right: Float64Array, *, cycles: int) -> Float64Array:
         """Solve the walk on 2x2 blocks exactly, on pixels by smoothing, twice: a fifth of the time of a full solve.
 
         A textbook two-grid cycle with Galerkin's coarse system and damped Jacobi; labels are an argmax, so the last
         digits do not matter.
         """
-        coarse = _CoarseWalk(self.coarse_laplacian, self.blocks.T @ pull, self._contested(pull, right))
+        coarse = _CoarseRandomWalk(self.coarse_laplacian, self.blocks.T @ pull, self._contested(pull, right))
         anchor = pull[:, None]
         step = (0.8 / (self.laplacian.diagonal() + pull))[:, None]
         solution = self.blocks @ coarse.solve(self.blocks.T @ right)
@@ -110,17 +107,17 @@ class PixelGraph:
                 solution += self.blocks @ coarse.correct(self.blocks.T @ residual)
         return np.asarray(solution)
 
-    def _contested(self, pull: Array, right: Array) -> NDArray[np.bool_]:
+    def _contested(self, pull: Float64Array, right: Float64Array) -> BoolMask:
         """(h w,) bool: blocks that any motion but the first may claim, and their surroundings.
 
-        Ties of `_BOND` carry an opinion over about sqrt(30) pixels; beyond eight, the background has nobody to ask.
+        Ties of `_EDGE_WEIGHT` carry an opinion over about sqrt(30) pixels; beyond eight, the background has nobody to ask.
         """
         height, width = self.shape
         claim = (right[:, 1:].max(axis=1, initial=0) > 1e-3 * pull).astype(np.float64)
         touched = (self.blocks.T @ claim > 0).reshape((height + 1) // 2, (width + 1) // 2)
         return np.asarray(cv2.dilate(touched.astype(np.uint8), np.ones((9, 9))).ravel() > 0)
 
-    def components(self, labels: NDArray[np.int32]) -> NDArray[np.int32]:
+    def components(self, labels: LabelImage) -> LabelImage:
         """(H, W) component numbers: pixels of one label, joined where no depth step divides them."""
         flat = labels.ravel()
         joined = (flat[self.head] == flat[self.tail]) & ~self.step
@@ -132,13 +129,13 @@ class PixelGraph:
         return np.asarray(numbers.reshape(self.shape), dtype=np.int32)
 
 
-class _CoarseWalk:
+class _CoarseRandomWalk:
     """The walk on blocks, solved exactly where motions compete; elsewhere each block keeps its own opinion.
 
     Over a table most of the image is nobody's but the background's, and a factorisation costs more than its share.
     """
 
-    def __init__(self, laplacian: sparse.csc_array, pull: Array, contested: NDArray[np.bool_]) -> None:
+    def __init__(self, laplacian: sparse.csc_array, pull: Float64Array, contested: BoolMask) -> None:
         self._inner, self._outer = np.flatnonzero(contested), np.flatnonzero(~contested)
         self._pull = pull
         rows = (laplacian + sparse.diags_array(pull)).tocsr()[self._inner]
@@ -152,7 +149,7 @@ class _CoarseWalk:
                 options={"SymmetricMode": True},
             )
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: Float64Array) -> Float64Array:
         """(blocks, K) the walk's shares."""
         solution = right / self._pull[:, None]
         if self._factor is not None:
@@ -160,7 +157,7 @@ class _CoarseWalk:
             solution[self._inner] = self._factor.solve(right[self._inner] - known)
         return solution
 
-    def correct(self, residual: Array) -> Array:
+    def correct(self, residual: Float64Array) -> Float64Array:
         """(blocks, K) what a residual adds to the shares of the contested blocks."""
         correction = np.zeros_like(residual)
         if self._factor is not None:
@@ -178,8 +175,8 @@ def _blocks(shape: tuple[int, int]) -> sparse.csr_array:
 
 
 def split_regions(
-    labels: NDArray[np.int32], points: Floats, graph: PixelGraph, *, min_pixels: int, gap: float
-) -> list[tuple[int, NDArray[np.bool_]]]:
+    labels: LabelImage, points: Float32Array, graph: PixelGraph, *, min_pixels: int, gap: float
+) -> list[tuple[int, BoolMask]]:
     """Masks of the separate pieces of each label; pieces closer than `gap` metres stay one object.
 
     Args:
@@ -197,10 +194,10 @@ def split_regions(
     sizes = np.bincount(pieces.ravel())
     label_of = np.zeros(len(sizes), np.int32)
     label_of[pieces.ravel()] = labels.ravel()
-    found: list[tuple[int, NDArray[np.bool_]]] = []
+    found: list[tuple[int, BoolMask]] = []
     for label in np.unique(labels[labels > 0]):
         numbers = np.flatnonzero((label_of == label) & (sizes >= max(4, min_pixels // 4)))
-        groups: list[tuple[NDArray[np.bool_], cKDTree]] = []
+        groups: list[tuple[BoolMask, cKDTree]] = []
         for number in numbers[np.argsort(-sizes[numbers])][:40]:
             piece = pieces == number
             tree = cKDTree(points[piece])

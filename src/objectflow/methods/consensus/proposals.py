@@ -5,26 +5,24 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import fitting
-from objectflow.alignment.matching import Matches
+from objectflow.alignment.matching import PixelMatches
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import match_sigma
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float64Array
 
 
 class Proposal(NamedTuple):
     """A motion and the matches that follow it."""
 
-    prev_T_curr: Array
-    matches: Matches
+    prev_T_curr: Float64Array
+    matches: PixelMatches
 
 
 def propose(
-    matches: Matches,
+    matches: PixelMatches,
     camera: Camera,
     *,
     rng: np.random.Generator,
@@ -75,7 +73,7 @@ def propose(
     return found
 
 
-def _candidates(matches: Matches, camera: Camera) -> tuple[NDArray[np.bool_], Array]:
+def _candidates(matches: PixelMatches, camera: Camera) -> tuple[BoolMask, Float64Array]:
     """One motion a match: who follows it (K, N), and how many do, weighted by how well."""
     curr, prev = matches.curr.astype(np.float64), matches.prev.astype(np.float64)
     sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
@@ -84,7 +82,7 @@ def _candidates(matches: Matches, camera: Camera) -> tuple[NDArray[np.bool_], Ar
     compatible = np.abs(near - _distances(prev)) < 2 * np.hypot(sigma[:, None], sigma[None, :])
     compatible &= near < reach
     # Neighbours at a lever arm fix the rotation; a third of the reach already counts in full.
-    weights: Array = np.where(compatible, np.exp(-((near / (0.5 * reach)) ** 2)), 0.0)
+    weights: Float64Array = np.where(compatible, np.exp(-((near / (0.5 * reach)) ** 2)), 0.0)
     motions, determined = _fit_all(weights, curr, prev)
     for _ in range(3):
         error = _errors(motions, curr, prev) / sigma
@@ -96,7 +94,7 @@ def _candidates(matches: Matches, camera: Camera) -> tuple[NDArray[np.bool_], Ar
     return follows, scores
 
 
-def _fit_all(weights: Array, curr: Array, prev: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _fit_all(weights: Float64Array, curr: Float64Array, prev: Float64Array) -> tuple[Float64Array, BoolMask]:
     """Weighted Kabsch of one point set under K weightings, by moments: no (K, N, 3) array is made."""
     total = weights.sum(1, keepdims=True) + 1e-12
     w = weights / total
@@ -112,17 +110,17 @@ def _fit_all(weights: Array, curr: Array, prev: Array) -> tuple[Array, NDArray[n
     return geometry.make_transform(R, t), enough
 
 
-def _errors(motions: Array, curr: Array, prev: Array) -> Array:
+def _errors(motions: Float64Array, curr: Float64Array, prev: Float64Array) -> Float64Array:
     """(K, N) distances of every match to its place under every motion."""
     return np.sqrt(fitting.squared_errors(motions, curr, prev))
 
 
-def _distances(points: Array) -> Array:
+def _distances(points: Float64Array) -> Float64Array:
     square = (points**2).sum(1)
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2 * points @ points.T, 0)))
 
 
-def _explained(prev_T_curr: Array, matches: Matches, camera: Camera, members: Matches) -> NDArray[np.bool_]:
+def _explained(prev_T_curr: Float64Array, matches: PixelMatches, camera: Camera, members: PixelMatches) -> BoolMask:
     """Matches that a motion explains and that lie near one of its own."""
     sigma = match_sigma(matches.curr[:, 2], camera)
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)

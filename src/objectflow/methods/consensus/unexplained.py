@@ -16,46 +16,44 @@ from scipy import ndimage
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
 from objectflow.alignment.likelihood import motion_cost
-from objectflow.alignment.matching import Matches, inside
+from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import match_sigma
-from objectflow.geometry.resample import enlarge
-from objectflow.methods.consensus.assignment import Stage
+from objectflow.geometry.resample import upsample_mask
+from objectflow.methods.consensus.assignment import Assignment
 from objectflow.methods.consensus.selection import MIN_GAIN
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 MAX_REGIONS = 6
 BAD_FIT = 1.0
 """Mean cost a pixel above which an object's motion is taken for wrong, and sought again."""
 MAX_STARTS = 3
-REACH = 0.3
+MAX_DISTANCE = 0.3
 """Metres; nothing is sought further away than this."""
 
 
-class Found(NamedTuple):
+class RecoveredObject(NamedTuple):
     """A region and the motion that explains it."""
 
-    prev_T_curr: Array
-    mask: Mask
-    matches: Matches
+    prev_T_curr: Float64Array
+    mask: BoolMask
+    matches: PixelMatches
 
 
-def seek(
-    stage: Stage,
-    masks: list[Mask],
-    motions: list[Array],
-    target: registration.Target,
-    sources: registration.Sources,
+def recover_unexplained(
+    assignment: Assignment,
+    masks: list[BoolMask],
+    motions: list[Float64Array],
+    target: registration.RegistrationTarget,
+    sources: registration.RegistrationSources,
     curr: RgbdFrame,
-    movers: Matches,
-) -> list[Found]:
+    movers: PixelMatches,
+) -> list[RecoveredObject]:
     """Motions of regions that neither the background nor any known motion explains.
 
     Args:
-        stage: frames and background, at the size of the masks.
+        assignment: frames and background, at the size of the masks.
         masks: of the objects known so far.
         motions: `prev_T_curr` of each.
         target: the previous frame for `rigid`.
@@ -63,53 +61,55 @@ def seek(
         curr: the same frame, at the target's size.
         movers: matches that do not follow the background.
     """
-    claimed = np.zeros(stage.valid.shape, bool)
+    claimed = np.zeros(assignment.valid.shape, bool)
     badly_explained = []
     for mask, motion in zip(masks, motions, strict=True):
-        cost = stage.cost(motion, stage.around(stage.points[mask & stage.valid]))
+        cost = assignment.cost(motion, assignment.around(assignment.points[mask & assignment.valid]))
         if float(cost[mask].mean()) > BAD_FIT:
             badly_explained.append(mask)
         else:
             claimed |= mask
-    doubtful = (stage.background_cost >= 1.5) & stage.valid & ~stage.hidden & ~claimed
+    doubtful = (assignment.background_cost >= 1.5) & assignment.valid & ~assignment.hidden & ~claimed
     for mask in badly_explained:
         doubtful &= ~mask
-    regions = badly_explained + _regions(doubtful, stage.min_pixels)
-    vanished = _vanished(stage) if regions else []
+    regions = badly_explained + _regions(doubtful, assignment.min_pixels)
+    vanished = _vanished(assignment) if regions else []
     found = []
     for region in regions:
-        wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & stage.valid
+        wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & assignment.valid
         own = movers[inside(wide, movers, curr.camera)]
-        box = stage.around(stage.points[region & stage.valid])
-        source = sources.take(enlarge(wide, curr), limit=1000)
-        best = _align(stage, region, target, source, own, _starts(stage, region, own, vanished))
+        box = assignment.around(assignment.points[region & assignment.valid])
+        source = sources.take(upsample_mask(wide, curr), limit=1000)
+        best = _align(assignment, region, target, source, own, _starts(assignment, region, own, vanished))
         if best is None:
             continue
-        rival = np.minimum.reduce([stage.background_cost, *[stage.cost(motion, box) for motion in motions]])
-        if float(stage.cost(best, box)[region].mean()) < float(rival[region].mean()) - 2 * MIN_GAIN:
-            found.append(Found(best, region, _agreeing(own, best, curr.camera)))
+        rival = np.minimum.reduce([assignment.background_cost, *[assignment.cost(motion, box) for motion in motions]])
+        if float(assignment.cost(best, box)[region].mean()) < float(rival[region].mean()) - 2 * MIN_GAIN:
+            found.append(RecoveredObject(best, region, _agreeing(own, best, curr.camera)))
     return found
 
 
 def _align(
-    stage: Stage,
-    region: Mask,
-    target: registration.Target,
-    source: registration.Source,
-    own: Matches,
-    starts: list[Array],
-) -> Array | None:
+    assignment: Assignment,
+    region: BoolMask,
+    target: registration.RegistrationTarget,
+    source: registration.RegistrationSource,
+    own: PixelMatches,
+    starts: list[Float64Array],
+) -> Float64Array | None:
     """The refined motion that explains a region best, from the most promising of several starts; None without any."""
-    promising = sorted(starts, key=lambda start: -registration.judge(target, source, start).explained)[:MAX_STARTS]
+    promising = sorted(starts, key=lambda start: -registration.evaluate_registration(target, source, start).fitness)[
+        :MAX_STARTS
+    ]
     refined = [
         registration.refine(target, source, start, matches=_agreeing(own, start, target.camera)).prev_T_curr
         for start in promising
     ]
-    box = stage.around(stage.points[region & stage.valid])
-    return min(refined, key=lambda motion: float(stage.cost(motion, box)[region].mean()), default=None)
+    box = assignment.around(assignment.points[region & assignment.valid])
+    return min(refined, key=lambda motion: float(assignment.cost(motion, box)[region].mean()), default=None)
 
 
-def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
+def _regions(doubtful: BoolMask, min_pixels: int) -> list[BoolMask]:
     """The largest connected doubtful regions, without specks and rims."""
     core = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
@@ -118,39 +118,44 @@ def _regions(doubtful: Mask, min_pixels: int) -> list[Mask]:
     return [numbers == n + 1 for n in ranked]
 
 
-def _vanished(stage: Stage) -> list[NDArray[np.float32]]:
+def _vanished(assignment: Assignment) -> list[Float32Array]:
     """Points of the previous frame that are gone: each region of them as (N, 3)."""
-    points = geometry.back_project(stage.prev.depth, stage.prev.camera)
+    points = geometry.back_project(assignment.prev.depth, assignment.prev.camera)
     cost, hidden = motion_cost(
-        stage.curr, points, geometry.inverse(stage.background), (stage.looks[1], stage.looks[0])
+        assignment.curr,
+        points,
+        geometry.inverse(assignment.background),
+        (assignment.appearance[1], assignment.appearance[0]),
     )
-    gone = (cost >= 1.5) & stage.prev.valid & ~hidden
-    return [points[region] for region in _regions(gone, stage.min_pixels)]
+    gone = (cost >= 1.5) & assignment.prev.valid & ~hidden
+    return [points[region] for region in _regions(gone, assignment.min_pixels)]
 
 
-def _starts(stage: Stage, region: Mask, own: Matches, vanished: list[NDArray[np.float32]]) -> list[Array]:
+def _starts(
+    assignment: Assignment, region: BoolMask, own: PixelMatches, vanished: list[Float32Array]
+) -> list[Float64Array]:
     """Where to begin: the matches' own fit and their median shift, each place where something vanished."""
-    center = np.median(stage.points[region & stage.valid], axis=0).astype(np.float64)
-    here = geometry.transform(stage.background, center)
+    center = np.median(assignment.points[region & assignment.valid], axis=0).astype(np.float64)
+    here = geometry.transform(assignment.background, center)
     starts = []
     if len(own.curr) >= 3:
-        starts.append(_shifted(stage.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
+        starts.append(_shifted(assignment.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
     if len(own.curr) >= 6:
-        starts.append(fitting.fit_matches(own, stage.curr.camera)[0])
+        starts.append(fitting.fit_matches(own, assignment.curr.camera)[0])
     for points in vanished:
         shift = np.median(points, axis=0) - here
-        if np.linalg.norm(shift) < REACH:
+        if np.linalg.norm(shift) < MAX_DISTANCE:
             # Rims overlap: what is newly covered lies ahead of the object, what is laid bare behind it.
-            starts += [_shifted(stage.background, shift), _shifted(stage.background, 0.5 * shift)]
+            starts += [_shifted(assignment.background, shift), _shifted(assignment.background, 0.5 * shift)]
     return starts
 
 
-def _shifted(background: Array, shift: NDArray[np.floating]) -> Array:
+def _shifted(background: Float64Array, shift: NDArray[np.floating]) -> Float64Array:
     moved = background.copy()
     moved[:3, 3] += shift
     return moved
 
 
-def _agreeing(matches: Matches, prev_T_curr: Array, camera: Camera) -> Matches:
+def _agreeing(matches: PixelMatches, prev_T_curr: Float64Array, camera: Camera) -> PixelMatches:
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
     return matches[error < 4 * match_sigma(matches.curr[:, 2], camera)]

@@ -4,39 +4,36 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from objectflow.methods.postprocess.search_likelihood import SampledCost
+from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
+from objectflow.typing import Float32Array, Float64Array, IndexArray
 
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
-
-PLACES = 30
+MAX_POSITIONS = 30
 """At most."""
-_RARE = 8.0
+_FULL_WEIGHT_RATIO = 8.0
 """A colour counts in full that is so many times as frequent in the object as in the image."""
-_UNCHANGED = 0.3
+_UNCHANGED_WEIGHT = 0.3
 """What a pixel counts for that looks and lies as before: an object that moved was not there."""
 _BINS = (8, 16, 16)
 
 
-def find_places(frames: SampledCost, points: Floats, looks: Floats) -> Array:
+def propose_positions(frames: SearchLikelihood, points: Float32Array, appearance: Float32Array) -> Float64Array:
     """Peaks of "the object's colours, in about its size" in the previous frame (Swain and Ballard 1991).
 
     Args:
         frames: both frames.
         points: (N, 3) metres, of the object in the current frame.
-        looks: (N, 3), theirs in `frames.curr_looks`.
+        appearance: (N, 3), theirs in `frames.curr_appearance`.
 
     Returns:
         (P, 3) metres, the best first: where the middle of the points may have been in the previous frame.
     """
-    scene = _bins(frames.prev_looks)
+    scene = _bins(frames.prev_appearance)
     count = int(np.prod(_BINS))
-    in_scene, own = (np.bincount(one.ravel(), minlength=count) for one in (scene, _bins(looks)))
+    in_scene, own = (np.bincount(one.ravel(), minlength=count) for one in (scene, _bins(appearance)))
     ratio = (own / max(1, own.sum())) * (scene.size / np.maximum(in_scene, 1))
-    likely = np.minimum(ratio / _RARE, 1).astype(np.float32)[scene]
-    likely[~frames.changed] *= _UNCHANGED
+    likely = np.minimum(ratio / _FULL_WEIGHT_RATIO, 1).astype(np.float32)[scene]
+    likely[~frames.changed] *= _UNCHANGED_WEIGHT
     middle = points.mean(axis=0, dtype=np.float64)
     size = float(np.sqrt(np.square(points[:, :2] - middle[:2]).sum(axis=1).mean()))
     blur = max(1.0, 0.7 * size / float(np.median(points[:, 2])) * frames.camera.fx)
@@ -44,7 +41,7 @@ def find_places(frames: SampledCost, points: Floats, looks: Floats) -> Array:
     heat[np.isnan(frames.prev_points[..., 2])] = 0
     around = cv2.dilate(heat, np.ones((2 * int(max(1.0, 0.7 * blur)) + 1,) * 2, np.uint8))
     rows, columns = np.nonzero((heat >= around) & (heat > 0))
-    best = np.argsort(-heat[rows, columns], kind="stable")[:PLACES]
+    best = np.argsort(-heat[rows, columns], kind="stable")[:MAX_POSITIONS]
     surface = frames.prev_points[rows[best], columns[best]].astype(np.float64)
     # The middle lies behind or before the surface by as much as it does now.
     nearest = np.argsort(np.square(points[:, :2] - middle[:2]).sum(axis=1))[:5]
@@ -52,9 +49,9 @@ def find_places(frames: SampledCost, points: Floats, looks: Floats) -> Array:
     return np.asarray(surface * (1 + behind / surface[:, 2:]))
 
 
-def _bins(looks: Floats) -> NDArray[np.intp]:
+def _bins(appearance: Float32Array) -> IndexArray:
     """Looks are CIELAB with lightness at a quarter: most colours lie in the middle half of its other axes."""
     steps = np.array([8.0, 8.0, 8.0], np.float32)
     low = np.array([0.0, 64.0, 64.0], np.float32)
-    cells = np.clip((looks - low) / steps, 0, np.array(_BINS) - 1).astype(np.intp)
+    cells = np.clip((appearance - low) / steps, 0, np.array(_BINS) - 1).astype(np.intp)
     return np.asarray((cells[..., 0] * _BINS[1] + cells[..., 1]) * _BINS[2] + cells[..., 2])

@@ -9,58 +9,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.likelihood import Look, motion_cost
+from objectflow.alignment.likelihood import AppearanceFeatures, motion_cost
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.resample import nearest
+from objectflow.geometry.resample import nearest_indices
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
-Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Labels = NDArray[np.int32]
-
-WIDTH = 320
+LIKELIHOOD_WIDTH = 320
 """Pixels: wider frames are narrowed to it; what is asked are means over objects."""
-STEP = 0.01
+DEPTH_STEP = 0.01
 """Metres between neighbouring pixels at which a surface ends."""
 
 
-class Witness:
-    """Both frames of a camera that stands still, and the current one's labels, at most `WIDTH` wide.
+class PairLikelihood:
+    """Both frames of a camera that stands still, and the current one's labels, at most `LIKELIHOOD_WIDTH` wide.
 
     Attributes:
         prev, curr: the frames.
         labels: (H, W) int32 on their pixels.
         points: (H, W, 3) float32 metres, the current frame's; NaN without depth.
-        looks: of both.
+        appearance: of both.
     """
 
-    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, labels: Labels) -> None:
-        if curr.camera.width > WIDTH:
-            height = max(1, round(curr.camera.height * WIDTH / curr.camera.width))
-            prev, curr = prev.resized(WIDTH, height), curr.resized(WIDTH, height)
+    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, labels: LabelImage) -> None:
+        if curr.camera.width > LIKELIHOOD_WIDTH:
+            height = max(1, round(curr.camera.height * LIKELIHOOD_WIDTH / curr.camera.width))
+            prev, curr = prev.resized(LIKELIHOOD_WIDTH, height), curr.resized(LIKELIHOOD_WIDTH, height)
         self.prev, self.curr = prev, curr
         self.show(labels)
         self.points = geometry.back_project(curr.depth, curr.camera)
-        self.looks = Look(prev.color), Look(curr.color)
+        self.appearance = AppearanceFeatures(prev.color), AppearanceFeatures(curr.color)
 
-    def show(self, labels: Labels) -> None:
+    def show(self, labels: LabelImage) -> None:
         """Take other labels (H, W), on the input's pixels."""
-        rows, columns = nearest(labels.shape, self.curr.depth.shape)
-        self.labels: Labels = labels[rows[:, None], columns]
+        rows, columns = nearest_indices(labels.shape, self.curr.depth.shape)
+        self.labels: LabelImage = labels[rows[:, None], columns]
 
-    def mask(self, number: int) -> Mask:
+    def mask(self, number: int) -> BoolMask:
         """(H, W) bool: the pixels of a label that have depth."""
         return np.asarray((self.labels == number) & self.curr.valid)
 
-    def cost(self, prev_T_curr: Array, mask: Mask, *, blind: float | None = None) -> Floats:
+    def cost(self, prev_T_curr: Float64Array, mask: BoolMask, *, blind: float | None = None) -> Float32Array:
         """(N,) of the mask's pixels, row by row: how badly they fit a motion; see `consensus.cost.motion_cost`."""
         rows, columns = np.nonzero(mask)
         if not len(rows):
             return np.zeros(0, np.float32)
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        return motion_cost(self.prev, self.points, prev_T_curr, self.looks, box, blind=blind)[0][mask[box]]
+        return motion_cost(self.prev, self.points, prev_T_curr, self.appearance, box, blind=blind)[0][mask[box]]
 
-    def contact(self, mask: Mask) -> dict[int, float]:
+    def contact(self, mask: BoolMask) -> dict[int, float]:
         """Labels that touch a mask, each with the share of the common border over which the surface goes on.
 
         Two pixels touch in a row or a column, at most one apart: at a fold or a printed line labels leave gaps.
@@ -80,7 +76,7 @@ class Witness:
                     for number in np.unique(other[touch]):
                         these = touch & (other == number)
                         counts = border.setdefault(int(number), [0, 0])
-                        counts[0] += int((step[these] < STEP).sum())
+                        counts[0] += int((step[these] < DEPTH_STEP).sum())
                         counts[1] += int(these.sum())
         return {number: level / whole for number, (level, whole) in border.items()}
 

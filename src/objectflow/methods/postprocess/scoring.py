@@ -9,28 +9,30 @@ import dataclasses
 
 import numpy as np
 
-from objectflow.alignment.likelihood import certainty
-from objectflow.methods.postprocess.pair_likelihood import Witness
+from objectflow.alignment.likelihood import motion_confidence
+from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.motion import ObjectMotion
 
 
-def score_movers(witness: Witness, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
-    """Score moving objects as `consensus` does, by their motion against standing still; see `certainty`.
+def set_confidence(likelihood: PairLikelihood, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
+    """Score moving objects as `consensus` does, by their motion against standing still; see `motion_confidence`.
 
     Args:
-        witness: the frames, with the objects' labels.
+        likelihood: the frames, with the objects' labels.
         objects: with their final motions.
 
     Returns:
         The same objects; what stands still keeps its score, and so does what has no pixel with depth.
     """
     return tuple(
-        dataclasses.replace(obj, score=_score(witness, obj)) if obj.moving and witness.mask(obj.id).any() else obj
+        dataclasses.replace(obj, score=_confidence(likelihood, obj))
+        if obj.moving and likelihood.mask(obj.id).any()
+        else obj
         for obj in objects
     )
 
 
-def _score(witness: Witness, obj: ObjectMotion) -> float:
-    mask = witness.mask(obj.id)
-    cost = witness.cost(obj.prev_T_curr, mask)
-    return certainty(cost, witness.cost(np.eye(4), mask) - cost)
+def _confidence(likelihood: PairLikelihood, obj: ObjectMotion) -> float:
+    mask = likelihood.mask(obj.id)
+    cost = likelihood.cost(obj.prev_T_curr, mask)
+    return motion_confidence(cost, likelihood.cost(np.eye(4), mask) - cost)

@@ -10,26 +10,26 @@ import dataclasses
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from objectflow.alignment.likelihood import COST_FLOATING
-from objectflow.alignment.moved import moves
-from objectflow.methods.postprocess.pair_likelihood import Witness
+from objectflow.alignment.likelihood import COST_FREE_SPACE_VIOLATION
+from objectflow.alignment.moved import is_moving
+from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.motion import ObjectMotion
+from objectflow.typing import Float32Array
 
-GAIN = 0.2
+MIN_GAIN = 0.2
 """Mean log-likelihood a pixel that a motion has to win over standing still."""
-FITS = 1.0
+INLIER_COST = 1.0
 """Cost up to which a pixel is explained."""
-STANDS = 0.2
+STATIC_INLIER_RATIO = 0.2
 """Share of an object's pixels that standing still explains: with as many it does not speak against it."""
-IMPOSSIBLE = 0.02
+FREE_SPACE_VIOLATION_RATIO = 0.02
 """Share of the pixels that, standing still, would hang in front of what was seen: a few do at any depth edge."""
-SURE = 0.6
+NETWORK_CONFIDENCE = 0.6
 """Probability of an object from which the network is believed where the frames say nothing."""
 
 
-class Evidence(NamedTuple):
+class MotionEvidence(NamedTuple):
     """What the previous frame says of one object.
 
     Attributes:
@@ -52,41 +52,43 @@ class Evidence(NamedTuple):
         Args:
             score: 0..1, how sure the network is.
         """
-        if self.gain > GAIN:
+        if self.gain > MIN_GAIN:
             return True
-        return self.stands < STANDS and (self.impossible > IMPOSSIBLE or score > SURE)
+        return self.stands < STATIC_INLIER_RATIO and (
+            self.impossible > FREE_SPACE_VIOLATION_RATIO or score > NETWORK_CONFIDENCE
+        )
 
 
-def bring_to_rest(witness: Witness, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
+def reject_static(likelihood: PairLikelihood, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
     """Give objects that stand still, as far as the frames can tell, the identity for a motion, and say so.
 
     Args:
-        witness: the frames, with the objects' labels.
+        likelihood: the frames, with the objects' labels.
         objects: with their final motions.
 
     Returns:
-        The same objects. `moving` is decided anew: by the motion's size, and by `Evidence`.
+        The same objects. `moving` is decided anew: by the motion's size, and by `MotionEvidence`.
     """
     out = []
     for obj in objects:
-        moving = bool(moves(obj.prev_T_curr[:3, :3], obj.translation))
+        moving = bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation))
         motion = obj.prev_T_curr
         if moving:
-            found = find_evidence(witness, obj)
+            found = find_evidence(likelihood, obj)
             moving = found is None or found.moved(obj.score)
             motion = motion if moving else np.eye(4)
         out.append(dataclasses.replace(obj, prev_T_curr=motion, moving=moving))
     return tuple(out)
 
 
-def find_evidence(witness: Witness, obj: ObjectMotion) -> Evidence | None:
+def find_evidence(likelihood: PairLikelihood, obj: ObjectMotion) -> MotionEvidence | None:
     """The evidence on one object; None where none of its pixels has depth."""
-    mask = witness.mask(obj.id)
+    mask = likelihood.mask(obj.id)
     if not mask.any():
         return None
-    still: NDArray[np.float32] = witness.cost(np.eye(4), mask)
-    return Evidence(
-        gain=float((still - witness.cost(obj.prev_T_curr, mask)).mean()),
-        stands=float((still < FITS).mean()),
-        impossible=float((still >= COST_FLOATING).mean()),
+    still: Float32Array = likelihood.cost(np.eye(4), mask)
+    return MotionEvidence(
+        gain=float((still - likelihood.cost(obj.prev_T_curr, mask)).mean()),
+        stands=float((still < INLIER_COST).mean()),
+        impossible=float((still >= COST_FREE_SPACE_VIOLATION).mean()),
     )

@@ -4,32 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow import geometry
 from objectflow.errors import MethodError
-from objectflow.geometry.resample import nearest
-from objectflow.methods.labels import keep_seen, rigid_flow
+from objectflow.geometry.resample import nearest_indices
+from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.rigidmatch.inputs import clean_points, grid
-from objectflow.networks.rigidmatch.outputs import RigidOutput
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import mix_neighbors
+from objectflow.typing import Float32Array, LabelImage
 
-Labels = NDArray[np.int32]
-Floats = NDArray[np.float32]
-
-THRESHOLD = 0.1
+OBJECT_MASK_THRESHOLD = 0.1
 """Least probability of being an object. So low, because two queries on one object share its probability, and because
 what overlaps and what does not move is sorted out afterwards; chosen on validation pairs and on real ones."""
-_WON = 0.5
+OVERLAP_THRESHOLD = 0.5
 """Least share of its mask that an object keeps where others claim the same pixels; with less it says what they say."""
 MIN_PIXELS = 20
 """Of the network's input; fewer are no object."""
 
 
 def output_to_motion(
-    output: RigidOutput, curr_points: Tensor, *, threshold: float = THRESHOLD, min_pixels: int = MIN_PIXELS
+    output: RigidMatchOutput,
+    curr_points: Tensor,
+    *,
+    threshold: float = OBJECT_MASK_THRESHOLD,
+    min_pixels: int = MIN_PIXELS,
 ) -> SceneMotion:
     """Objects of one pair, on the pixels of the network's input, and the flow that their motions make.
 
@@ -40,25 +41,29 @@ def output_to_motion(
         min_pixels: fewer are no object.
     """
     height, width = curr_points.shape[-2:]
-    labels, objects = find_objects(output, (height, width), threshold=threshold, min_pixels=min_pixels)
+    labels, objects = decode(output, (height, width), threshold=threshold, min_pixels=min_pixels)
     points = curr_points[0].permute(1, 2, 0).float().cpu().numpy()
     return SceneMotion(labels=labels, scene_flow=rigid_flow(objects, labels, points), objects=objects)
 
 
-def select(output: RigidOutput, index: int) -> RigidOutput:
+def select(output: RigidMatchOutput, index: int) -> RigidMatchOutput:
     """One pair of a batch's output."""
     batch_second = ("objectness", "masks")
     parts = {
         name: value[:, index : index + 1] if name in batch_second else value[index : index + 1]
         for name, value in output._asdict().items()
     }
-    return RigidOutput(**parts)
+    return RigidMatchOutput(**parts)
 
 
 @torch.no_grad()
-def find_objects(
-    output: RigidOutput, size: tuple[int, int], *, threshold: float = THRESHOLD, min_pixels: int = MIN_PIXELS
-) -> tuple[Labels, tuple[ObjectMotion, ...]]:
+def decode(
+    output: RigidMatchOutput,
+    size: tuple[int, int],
+    *,
+    threshold: float = OBJECT_MASK_THRESHOLD,
+    min_pixels: int = MIN_PIXELS,
+) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """Each pixel goes to the object that claims it most (as MaskFormer, Cheng et al. 2021).
 
     Args:
@@ -80,7 +85,7 @@ def find_objects(
     if not len(kept):
         return np.zeros(size, np.int32), ()
     claim = mix_neighbors(output.masks[-1][:, kept], output.upsampling)[0, :, : size[0], : size[1]].sigmoid()
-    won, counts, left = _share_out(claim.flatten(1), sure[kept], min_pixels)
+    won, counts, left = resolve_overlaps(claim.flatten(1), sure[kept], min_pixels)
     if not len(left):
         return np.zeros(size, np.int32), ()
     kept = kept[left]
@@ -107,10 +112,10 @@ def find_objects(
         )
         for k in range(len(kept))
     )
-    return keep_seen(labels, objects)
+    return relabel_present(labels, objects)
 
 
-def _share_out(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[int], Tensor]:
+def resolve_overlaps(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[int], Tensor]:
     """Give pixels to masks until every mask that is left keeps enough of its own.
 
     Args:
@@ -131,7 +136,7 @@ def _share_out(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[in
         won = mine.gather(0, winner[None])[0]
         counts = torch.bincount(winner[won], minlength=len(claim)).cpu().numpy()
         share = counts / np.maximum(areas, 1)
-        weak = ~out & ((counts < least) | (counts < _WON * areas))
+        weak = ~out & ((counts < least) | (counts < OVERLAP_THRESHOLD * areas))
         if not weak.any():
             break
         # The weakest goes first: its pixels may make another whole.
@@ -149,7 +154,9 @@ def _share_out(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[in
 
 
 @torch.no_grad()
-def matched_flow(output: RigidOutput, curr_points: Tensor, stride: int, labels: Labels, points: Floats) -> Floats:
+def matched_flow(
+    output: RigidMatchOutput, curr_points: Tensor, stride: int, labels: LabelImage, points: Float32Array
+) -> Float32Array:
     """The flow of each pixel's nearest match, before any solve.
 
     Args:
@@ -165,7 +172,7 @@ def matched_flow(output: RigidOutput, curr_points: Tensor, stride: int, labels: 
     height, width = curr_points.shape[-2:]
     own = grid(*clean_points(curr_points), stride).points
     shift = (output.match[..., : own.shape[-2], : own.shape[-1]] - own)[0].permute(1, 2, 0).float().cpu().numpy()
-    rows, columns = nearest((height, width), labels.shape)
+    rows, columns = nearest_indices((height, width), labels.shape)
     rows, columns = (
         np.minimum((one + stride // 2) // stride, most - 1)
         for one, most in zip((rows, columns), shift.shape, strict=False)

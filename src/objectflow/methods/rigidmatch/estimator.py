@@ -7,30 +7,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow import geometry
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.geometry.resample import nearest
+from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.base import check_camera_option
 from objectflow.methods.find_weights import find_weights
-from objectflow.methods.labels import keep_seen, rigid_flow
-from objectflow.methods.mask_edges import follow_edges
+from objectflow.methods.labels import relabel_present, rigid_flow
+from objectflow.methods.mask_edges import snap_to_edges
 from objectflow.methods.network_io import resize_to, to_tensors, trained_size
-from objectflow.methods.postprocess.pipeline import settle
-from objectflow.methods.rigidmatch.decoding import MIN_PIXELS, THRESHOLD, find_objects, matched_flow
+from objectflow.methods.postprocess.pipeline import postprocess
+from objectflow.methods.rigidmatch.decoding import MIN_PIXELS, OBJECT_MASK_THRESHOLD, decode, matched_flow
 from objectflow.motion import SceneMotion
-from objectflow.networks.rigidmatch import RigidMatch, RigidOutput
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
 from objectflow.networks.weights import load_network
 from objectflow.runtime.devices import find_device
 
 Rigid = Literal["none", "solve", "refine"]
-Labels = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -54,7 +51,7 @@ class RigidMatchEstimator:
     weights: str | Path | None = None
     rigid: Rigid = "refine"
     device: str = "auto"
-    threshold: float = THRESHOLD
+    threshold: float = OBJECT_MASK_THRESHOLD
     min_pixels: int = MIN_PIXELS
     network: RigidMatch = field(init=False, repr=False, compare=False)
     size: tuple[int, int] = field(init=False, repr=False, compare=False)
@@ -81,9 +78,9 @@ class RigidMatchEstimator:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
-        return self.estimate(prev, curr, Readied(prev, curr))
+        return self.estimate(prev, curr, FramePair(prev, curr))
 
-    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
         """The same with the frames made ready for alignment by whoever needed them before."""
         start = time.perf_counter()
         check_pair(prev, curr)
@@ -91,17 +88,15 @@ class RigidMatchEstimator:
         prev_s, curr_s = resize_to(prev, self.size), resize_to(curr, self.size)
         output, seen = self.predict(prev_s, curr_s)
         # 2. Objects.
-        labels_s, objects = find_objects(
-            output, curr_s.depth.shape, threshold=self.threshold, min_pixels=self.min_pixels
-        )
+        labels_s, objects = decode(output, curr_s.depth.shape, threshold=self.threshold, min_pixels=self.min_pixels)
         # 3. The input's own pixels.
-        rows, columns = nearest(labels_s.shape, curr.depth.shape)
-        labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
+        rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
+        labels, objects = relabel_present(labels_s[rows[:, None], columns], objects)
         # 4. Motions that the frames bear out, objects that the network missed, and borders.
         if self.rigid == "refine":
-            labels, objects = settle(ready, curr_s, labels, objects)
+            labels, objects = postprocess(pair, curr_s, labels, objects)
         else:
-            labels, objects = keep_seen(follow_edges(labels, curr_s, curr), objects)
+            labels, objects = relabel_present(snap_to_edges(labels, curr_s, curr), objects)
         # 5. The flow that they make.
         points = geometry.back_project(curr.depth, curr.camera)
         if self.rigid == "none":
@@ -116,10 +111,10 @@ class RigidMatchEstimator:
             seconds=time.perf_counter() - start,
         )
 
-    def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> tuple[RigidOutput, Tensor]:
+    def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> tuple[RigidMatchOutput, Tensor]:
         """The network's output on frames of any one size, and the current points (1, 3, H, W) that it was shown."""
         device = next(self.network.parameters()).device
         with torch.inference_mode():
             seen = to_tensors(curr, device)
-            out: RigidOutput = self.network(*to_tensors(prev, device), *seen, table=False)
+            out: RigidMatchOutput = self.network(*to_tensors(prev, device), *seen, table=False)
         return out, seen[1]

@@ -8,21 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.moved import STILL, moves
+from objectflow.alignment.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.errors import GeometryError
 from objectflow.motion import ObjectMotion
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 
 def average_motions(
-    labels: NDArray[np.int32],
+    labels: LabelImage,
     rotation: NDArray[Any],
     translation: NDArray[Any],
     center: NDArray[Any],
     *,
     confidence: NDArray[Any],
-    still: float = STILL,
+    still: float = STATIC_DISPLACEMENT,
 ) -> tuple[ObjectMotion, ...]:
     """Average X, T and the rotation over each object's pixels.
 
@@ -58,13 +57,13 @@ def average_motions(
     if not (np.isfinite(vectors).all() and np.isfinite(shifts).all() and np.isfinite(centers).all()):
         raise GeometryError("averaging needs finite predictions on every labelled pixel: label the others 0")
 
-    def mean(values: Array) -> Array:
+    def mean(values: Float64Array) -> Float64Array:
         return np.asarray(np.add.reduceat(values, starts) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
     X, T = mean(centers), mean(shifts)
     R = mean_rotation(mean(geometry.so3_exp(vectors)))
     score = np.clip(mean(sure), 0, 1)
-    moving = moves(R, T, still)
+    moving = is_moving(R, T, still)
     # P_prev = R (P - X) + X + T
     prev_T_curr = geometry.make_transform(R, X + T - (R @ X[..., None])[..., 0])
     return tuple(
@@ -80,7 +79,7 @@ def average_motions(
     )
 
 
-def mean_rotation(matrix_mean: Array) -> Array:
+def mean_rotation(matrix_mean: Float64Array) -> Float64Array:
     """The chordal mean of rotations from the mean of their matrices: the rotation nearest to it.
 
     It minimises the summed squared Frobenius distances (Hartley et al. 2013, section 5.1). Unlike a mean of axis-angle

@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from objectflow.errors import MethodError
-from objectflow.geometry.resample import nearest
-from objectflow.methods.labels import keep_seen, rigid_flow
+from objectflow.geometry.resample import nearest_indices
+from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.methods.sceneflownet.averaging import average_motions
 from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.networks.sceneflownet.outputs import DenseMotion, scene_flow
-
-Labels = NDArray[np.int32]
-Floats = NDArray[np.float32]
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput, scene_flow
+from objectflow.typing import BoolMask, Float32Array, LabelImage
 
 
-def dense_to_motion(
-    output: DenseMotion,
+def decode(
+    output: SceneFlowNetOutput,
     curr_points: Tensor,
     *,
     rigid: Literal["none", "average"] = "average",
@@ -50,13 +48,13 @@ def dense_to_motion(
         )
     measured = torch.isfinite(curr_points[0]).all(dim=0)
     labels = label_pixels(output, grouping)
-    labels, objects = keep_seen(labels, average_objects(output, labels, measured.cpu().numpy()))
+    labels, objects = relabel_present(labels, average_objects(output, labels, measured.cpu().numpy()))
     points = curr_points[0].permute(1, 2, 0).float().cpu().numpy()
     flow = pixel_flow(output, labels, points) if rigid == "none" else rigid_flow(objects, labels, points)
     return SceneMotion(labels=labels, scene_flow=flow, objects=objects)
 
 
-def label_pixels(output: DenseMotion, grouping: GroupingSettings | None = None) -> Labels:
+def label_pixels(output: SceneFlowNetOutput, grouping: GroupingSettings | None = None) -> LabelImage:
     """Group the foreground of one pair's maps in trajectory space; see `grouping.group`.
 
     Pixels without depth take part: the network sees what lies around them.
@@ -71,7 +69,7 @@ def label_pixels(output: DenseMotion, grouping: GroupingSettings | None = None) 
     return group(feature, foreground, centrality[1] - centrality[0], radius[0], grouping).cpu().numpy()
 
 
-def average_objects(output: DenseMotion, labels: Labels, measured: NDArray[np.bool_]) -> tuple[ObjectMotion, ...]:
+def average_objects(output: SceneFlowNetOutput, labels: LabelImage, measured: BoolMask) -> tuple[ObjectMotion, ...]:
     """The mean motion of each label, over its pixels with depth; see `averaging.average_motions`.
 
     Args:
@@ -93,7 +91,7 @@ def average_objects(output: DenseMotion, labels: Labels, measured: NDArray[np.bo
     )
 
 
-def pixel_flow(output: DenseMotion, labels: Labels, points: Floats) -> Floats:
+def pixel_flow(output: SceneFlowNetOutput, labels: LabelImage, points: Float32Array) -> Float32Array:
     """Equation 1 with each pixel's own Q, T and X: the network's flow before any averaging.
 
     Args:
@@ -104,7 +102,7 @@ def pixel_flow(output: DenseMotion, labels: Labels, points: Floats) -> Floats:
     Returns:
         (H, W, 3) float32 metres: 0 where labels are 0, NaN where depth is missing.
     """
-    rows, columns = nearest(output.mask.shape[-2:], labels.shape)
+    rows, columns = nearest_indices(output.mask.shape[-2:], labels.shape)
     y, x = np.nonzero(labels)
     index = torch.from_numpy(rows[y] * output.mask.shape[-1] + columns[x])
     with torch.no_grad():

@@ -10,20 +10,20 @@ from typing import Any, ClassVar, Literal, get_args
 import torch
 
 from objectflow import geometry
-from objectflow.alignment.frame_pair import Readied
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.refine_objects import refine_objects
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame, check_pair
-from objectflow.geometry.resample import nearest
+from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.base import check_camera_option
 from objectflow.methods.find_weights import find_weights
-from objectflow.methods.labels import keep_seen, rigid_flow
+from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.methods.network_io import resize_to, to_tensors, trained_size
 from objectflow.methods.sceneflownet.decoding import average_objects, label_pixels, pixel_flow
 from objectflow.methods.sceneflownet.grouping import GroupingSettings
 from objectflow.motion import SceneMotion
 from objectflow.networks.sceneflownet.network import SceneFlowNet
-from objectflow.networks.sceneflownet.outputs import DenseMotion
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.weights import load_weights
 from objectflow.runtime.devices import find_device
 
@@ -79,9 +79,9 @@ class SceneFlowEstimator:
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
-        return self.estimate(prev, curr, Readied(prev, curr))
+        return self.estimate(prev, curr, FramePair(prev, curr))
 
-    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, ready: Readied) -> SceneMotion:
+    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
         """The same with the frames made ready for alignment by whoever needed them before."""
         start = time.perf_counter()
         check_pair(prev, curr)
@@ -92,11 +92,11 @@ class SceneFlowEstimator:
         labels_s = label_pixels(maps, self.grouping)
         objects = average_objects(maps, labels_s, curr_s.valid)
         # 3. The input's own pixels.
-        rows, columns = nearest(labels_s.shape, curr.depth.shape)
-        labels, objects = keep_seen(labels_s[rows[:, None], columns], objects)
+        rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
+        labels, objects = relabel_present(labels_s[rows[:, None], columns], objects)
         # 4. Motions, and the flow that they make.
         if self.rigid == "refine":
-            objects = refine_objects(ready, labels, objects)
+            objects = refine_objects(pair, labels, objects)
         points = geometry.back_project(curr.depth, curr.camera)
         flow = pixel_flow(maps, labels, points) if self.rigid == "none" else rigid_flow(objects, labels, points)
         return SceneMotion(
@@ -111,11 +111,11 @@ class SceneFlowEstimator:
         """The frame with as many pixels as the network was trained with, in its own proportions."""
         return resize_to(frame, self.size)
 
-    def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> DenseMotion:
+    def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneFlowNetOutput:
         """The network's maps (1, C, H, W) on the estimator's device, on the pixels of frames of any one size."""
         device = next(self.network.parameters()).device
         with torch.inference_mode():
-            out: DenseMotion = self.network(*to_tensors(prev, device), *to_tensors(curr, device))
+            out: SceneFlowNetOutput = self.network(*to_tensors(prev, device), *to_tensors(curr, device))
         return out
 
     def _check_kind(self, network: SceneFlowNet, metadata: dict[str, Any], path: Path) -> None:

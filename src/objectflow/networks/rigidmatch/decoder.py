@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from objectflow.networks.rigidmatch.attention import Attention, FeedForward, Positions
-from objectflow.networks.rigidmatch.dense_head import Scene
+from objectflow.networks.rigidmatch.dense_head import DensePredictions
 from objectflow.networks.rigidmatch.seeds import choose_seeds
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 
@@ -61,7 +61,7 @@ class SetDecoder(nn.Module):
             self.look = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), nn.Linear(channels, fine))
             self.pixel_look = nn.Conv2d(fine, fine, 1)
 
-    def forward(self, scene: Scene) -> Objects:
+    def forward(self, scene: DensePredictions) -> Objects:
         """Find the objects of a scene."""
         size = scene.votes.shape[-2:]
         with torch.autocast(scene.votes.device.type, enabled=False):

@@ -19,7 +19,7 @@ _DECIMETRES = 10.0
 _HEADS = 6 + 3
 
 
-class Scene(NamedTuple):
+class DensePredictions(NamedTuple):
     """Of the current frame.
 
     Attributes:
@@ -39,7 +39,7 @@ class Scene(NamedTuple):
     upsampling: Tensor
 
 
-class SceneHead(nn.Module):
+class DenseHead(nn.Module):
     """Looks at features, matched motion and its trust together, on the coarse and then on the fine grid."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
@@ -60,7 +60,7 @@ class SceneHead(nn.Module):
 
     def forward(
         self, fine: Tensor, tokens: Tensor, coarse: CoarseMatch, match: FineMatch, grids: tuple[Grid, Grid]
-    ) -> Scene:
+    ) -> DensePredictions:
         """Judge.
 
         Args:
@@ -80,7 +80,7 @@ class SceneHead(nn.Module):
         found, guide = self.heads(pixels).float(), self.guide(pixels).float()
         # Centres as offsets: from where the pixel is, and from where it was.
         votes = torch.cat([grids[1].points + found[:, :3], match.match + found[:, 3:6]], dim=1)
-        return Scene(
+        return DensePredictions(
             tokens=around,
             pixels=pixels,
             votes=votes,

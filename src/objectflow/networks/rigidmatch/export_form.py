@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from objectflow.networks.rigidmatch.network import RigidMatch
 
 
-class SolveLater(nn.Module):
+class ExportableRigidMatch(nn.Module):
     """The network up to the solve.
 
     Its outputs, by `OUTPUTS`: points and matches (B, 3, H, W) in metres of the fine grid, the weights (B, Q, H, W) of

@@ -27,7 +27,7 @@ class Grid(NamedTuple):
     valid: Tensor
 
 
-def describe(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tensor, Tensor]:
+def encode_inputs(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tensor, Tensor]:
     """Eight channels of a frame, and its points.
 
     Args:

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from objectflow.geometry.torch_se3 import so3_exp
 from objectflow.networks.rigidmatch.attention import FrameAttention, Positions
 from objectflow.networks.rigidmatch.decoder import Objects, SetDecoder
-from objectflow.networks.rigidmatch.dense_head import Scene, SceneHead
+from objectflow.networks.rigidmatch.dense_head import DenseHead, DensePredictions
 from objectflow.networks.rigidmatch.encoder import Block, Encoder
-from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells, describe, grid
+from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells, encode_inputs, grid
 from objectflow.networks.rigidmatch.matching import CoarseMatch, GlobalMatching
-from objectflow.networks.rigidmatch.outputs import RigidOutput
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import FineMatch, Refinement
 from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
@@ -28,7 +28,7 @@ _STEP = 2
 """The context grid's cells in the coarse grid's."""
 
 
-class Found(NamedTuple):
+class Features(NamedTuple):
     """What is known before motions are solved.
 
     Attributes:
@@ -43,7 +43,7 @@ class Found(NamedTuple):
     points: Grid
     matched: CoarseMatch
     refined: FineMatch
-    scene: Scene
+    scene: DensePredictions
     objects: Objects
     moves: Tensor
 
@@ -74,7 +74,7 @@ class RigidMatch(nn.Module):
         )
         self.matching = GlobalMatching(settings)
         self.refinement = Refinement(settings)
-        self.scene = SceneHead(settings)
+        self.scene = DenseHead(settings)
         self.decoder = SetDecoder(settings)
         self.moves = nn.Linear(settings.channels + 1, 1)
         if settings.motion == "regress":
@@ -90,7 +90,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
-    ) -> RigidOutput:
+    ) -> RigidMatchOutput:
         """Predict objects and their motions from the current back to the previous frame.
 
         Args:
@@ -104,7 +104,7 @@ class RigidMatch(nn.Module):
         found = self.look(prev_color, prev_points, curr_color, curr_points, table=table)
         # 6. The motions that fit the matches.
         rotation, translation = self._motions(found)
-        return RigidOutput(
+        return RigidMatchOutput(
             scores=found.matched.scores,
             hidden=found.matched.hidden,
             rows=found.matched.rows,
@@ -134,11 +134,13 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
-    ) -> Found:
+    ) -> Features:
         """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
         # 1. Both frames through one encoder.
-        described = [describe(*one, _STEP * stride) for one in ((curr_color, curr_points), (prev_color, prev_points))]
+        described = [
+            encode_inputs(*one, _STEP * stride) for one in ((curr_color, curr_points), (prev_color, prev_points))
+        ]
         image, points, valid = (torch.cat(parts) for parts in zip(*described, strict=True))
         fine, coarse = self.encoder(image)
         coarse_grid, fine_grid = grid(points, valid, stride), grid(points, valid, stride // 2)
@@ -159,9 +161,9 @@ class RigidMatch(nn.Module):
         objects = self.decoder(scene)
         shift = (objects.anchors[..., 3:] - objects.anchors[..., :3]).norm(dim=-1, keepdim=True)
         moves = self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float()
-        return Found(curr, curr_fine, matched, refined, scene, objects, moves)
+        return Features(curr, curr_fine, matched, refined, scene, objects, moves)
 
-    def _motions(self, found: Found) -> tuple[Tensor, Tensor]:
+    def _motions(self, found: Features) -> tuple[Tensor, Tensor]:
         """(B, Q, 3, 3) rotations and (B, Q, 3) translations."""
         anchors = found.objects.anchors
         if self.settings.motion == "regress":

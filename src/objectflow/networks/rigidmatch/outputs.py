@@ -7,7 +7,7 @@ from typing import NamedTuple
 from torch import Tensor
 
 
-class RigidOutput(NamedTuple):
+class RigidMatchOutput(NamedTuple):
     """B pairs; h, w cells of the coarse grid, H, W of the fine one; Q queries; N = h w.
 
     Cell (i, j) stands for pixel (s i, s j) of its stride s. All in float32.

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from objectflow.networks.sceneflownet.outputs import DenseMotion
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings, Widths
 
 FRAME_CHANNELS = 7
@@ -93,28 +93,28 @@ def _layers(widths: Sequence[int]) -> nn.Sequential:
 
 
 class Heads(nn.Module):
-    """One 3x3 linear layer for each map: (B, inputs, H, W) -> `DenseMotion`, whose centre is an offset still."""
+    """One 3x3 linear layer for each map: (B, inputs, H, W) -> `SceneFlowNetOutput`, whose centre is an offset still."""
 
-    CHANNELS = DenseMotion(rotation=3, translation=3, center=3, mask=2, centrality=2, radius=1)  # type: ignore[arg-type]
+    CHANNELS = SceneFlowNetOutput(rotation=3, translation=3, center=3, mask=2, centrality=2, radius=1)  # type: ignore[arg-type]
 
     def __init__(self, inputs: int) -> None:
         super().__init__()
-        names = DenseMotion._fields
+        names = SceneFlowNetOutput._fields
         self.maps = nn.ModuleDict(
             {name: nn.Conv2d(inputs, cast(int, getattr(self.CHANNELS, name)), 3, padding=1) for name in names}
         )
 
-    def forward(self, x: Tensor) -> DenseMotion:
+    def forward(self, x: Tensor) -> SceneFlowNetOutput:
         """All maps; in float32 also where autocast would make them bfloat16, whose steps are millimetres."""
         if torch.is_autocast_enabled(x.device.type):
             with torch.autocast(x.device.type, enabled=False):
                 return self._apply_all(x.float())
         return self._apply_all(x)
 
-    def _apply_all(self, x: Tensor) -> DenseMotion:
+    def _apply_all(self, x: Tensor) -> SceneFlowNetOutput:
         # As one layer: the features, the largest tensor of all, are read once instead of six times.
-        heads = [cast(nn.Conv2d, self.maps[name]) for name in DenseMotion._fields]
+        heads = [cast(nn.Conv2d, self.maps[name]) for name in SceneFlowNetOutput._fields]
         weight = torch.cat([head.weight for head in heads])
         bias = torch.cat([cast(Tensor, head.bias) for head in heads])
         maps = F.conv2d(x, weight, bias, padding=1)
-        return DenseMotion(*torch.split(maps, [head.out_channels for head in heads], dim=1))
+        return SceneFlowNetOutput(*torch.split(maps, [head.out_channels for head in heads], dim=1))

@@ -14,7 +14,7 @@ from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, 
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
 from objectflow.networks.sceneflownet.normalized_convolution import MaskedShapeEncoder
-from objectflow.networks.sceneflownet.outputs import DenseMotion
+from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 
 _STRIDE = 8
@@ -68,7 +68,9 @@ class SceneFlowNet(nn.Module):
             raise MethodError(f"{path}: the simple network has no colour trunk: leave backbone weights out")
         load_backbone(self.color_encoder.trunk, path)
 
-    def forward(self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor) -> DenseMotion:
+    def forward(
+        self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
+    ) -> SceneFlowNetOutput:
         """Predict the motion from the current back to the previous frame.
 
         Args:
@@ -82,7 +84,7 @@ class SceneFlowNet(nn.Module):
 
     def predict(
         self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
-    ) -> tuple[DenseMotion, Tensor | None]:
+    ) -> tuple[SceneFlowNetOutput, Tensor | None]:
         """`forward`, and the correlation (B, (2 L + 1)^2, H / 8, W / 8) as `correlate` orders it; None for OurS."""
         height, width = curr_color.shape[-2:]
         unit = self.settings.length_unit
@@ -91,7 +93,9 @@ class SceneFlowNet(nn.Module):
         images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
         features, correlation = self._encode(*images)
         details = _pyramid(images[2], images[3]) if self.settings.details else ()
-        maps = DenseMotion(*(one[..., :height, :width] for one in self.heads(self.hourglass(features, details))))
+        maps = SceneFlowNetOutput(
+            *(one[..., :height, :width] for one in self.heads(self.hourglass(features, details)))
+        )
         # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
         center = maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:])
         maps = maps._replace(

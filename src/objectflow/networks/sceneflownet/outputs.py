@@ -11,7 +11,7 @@ _SMALL_ANGLE = 1e-2
 """Radians below which the series to the fourth power are exact in float32, and their gradients finite at 0."""
 
 
-class DenseMotion(NamedTuple):
+class SceneFlowNetOutput(NamedTuple):
     """Per-pixel predictions on the current frame's pixels: (B, C, H, W) in the network's dtype.
 
     Attributes:

@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_objects
 from objectflow.dataset.schema import FrameObject, PairRow
 from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
-from objectflow.synth.generation.frame_pairs import Moment, pick_moment
+from objectflow.synth.generation.frame_pairs import FramePairChoice, pick_moment
 from objectflow.synth.generation.rejection import draw_until_kept, library_and_broken
 from objectflow.synth.generation.rows import MIN_GAP, MIN_PIXELS, Clock
 from objectflow.synth.generation.tasks import Maker, SceneRows, Task
@@ -29,13 +28,12 @@ from objectflow.synth.physics.simulate import RejectedSceneError
 from objectflow.synth.rendering.renderer import Device, Renderer
 from objectflow.synth.scenes.clutter_scene import LAST_START, WildScene, WildSettings, draw_wild_scene
 from objectflow.synth.scenes.surroundings import is_open
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 
 @dataclass(frozen=True)
-class WildScenes:
-    """Makes the wild scenes of one split; its fields are those of `paper_maker.Scenes`.
+class ClutterScenes:
+    """Makes the wild scenes of one split; its fields are those of `paper_maker.PaperScenes`.
 
     Attributes:
         meshes: a folder of meshes, and how they are mixed in.
@@ -108,13 +106,13 @@ def _make_pairs(
 
 def _draw_shots(
     rng: np.random.Generator, wild: WildScene, recording: Recording, settings: WildSettings, views: int
-) -> list[tuple[Moment, Array]]:
+) -> list[tuple[FramePairChoice, Float64Array]]:
     """For each view the moment and (2, 4, 4) `world_T_camera`, of cameras that nothing blocks."""
     scene = wild.scene
     scales = [item.scale for item in scene.objects]
     radii = np.array([model.radius * scale for model, scale in zip(wild.models, scales, strict=True)])
     movers = settings.movers if wild.actions else (0, 0)
-    shots: list[tuple[Moment, Array]] = []
+    shots: list[tuple[FramePairChoice, Float64Array]] = []
     for view in scene.views:
         moment = pick_moment(rng, recording, wild.models, scales, gap=settings.gap, movers=movers)
         if moment is None:
@@ -132,7 +130,7 @@ def _draw_shots(
     raise RejectedSceneError("blocked", "every camera stands in or right before something")
 
 
-def _draw_camera_motion(rng: np.random.Generator, settings: WildSettings) -> Array:
+def _draw_camera_motion(rng: np.random.Generator, settings: WildSettings) -> Float64Array:
     """`curr_T_prev` of the camera itself, any way round: (4, 4)."""
     axis, way = rng.normal(size=(2, 3))
     turn = np.radians(rng.uniform(*settings.camera_turn)) * axis / np.linalg.norm(axis)
@@ -141,7 +139,7 @@ def _draw_camera_motion(rng: np.random.Generator, settings: WildSettings) -> Arr
 
 
 def _take(
-    key: str, name: str, wild: WildScene, moment: Moment, cameras: Array, renderer: Renderer, seen: Any
+    key: str, name: str, wild: WildScene, moment: FramePairChoice, cameras: Float64Array, renderer: Renderer, seen: Any
 ) -> PairRow:
     scene, poses = wild.scene, moment.world_T_object
     still = np.array_equal(cameras[0], cameras[1])
@@ -174,7 +172,7 @@ def _take(
     )
 
 
-def _check_pictures(labels: NDArray[np.int32], moment: Moment) -> None:
+def _check_pictures(labels: LabelImage, moment: FramePairChoice) -> None:
     """Reject pictures in which nothing is to be seen of what moves, or of anything where nothing does."""
     least = MIN_PIXELS * labels.shape[-1] * labels.shape[-2] / (320 * 240)
     prev, curr = (np.bincount(image.ravel(), minlength=len(moment.moves) + 1)[1:] for image in labels)

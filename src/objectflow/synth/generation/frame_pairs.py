@@ -7,16 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.geometry.symmetry import reduce_motion
 from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.physics.recording import Recording
 from objectflow.synth.physics.simulate import MAX_DEPTH
+from objectflow.typing import BoolMask, Float64Array
 
-Array = NDArray[np.float64]
-
-STILL = 0.0025
+MIN_DISPLACEMENT = 0.0025
 """Metres, mean over an object's surface: who moves less is put exactly where it was."""
 MOVED = 0.005
 """Metres: who moves further, its symmetry taken off, counts as moving. Between the two lies what no pair may show."""
@@ -25,7 +23,7 @@ POINTS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class FramePairChoice:
     """Two frames of a scene.
 
     Attributes:
@@ -36,8 +34,8 @@ class Moment:
 
     prev: int
     curr: int
-    world_T_object: Array
-    moves: NDArray[np.bool_]
+    world_T_object: Float64Array
+    moves: BoolMask
 
 
 def pick_moment(
@@ -48,7 +46,7 @@ def pick_moment(
     *,
     gap: tuple[int, int],
     movers: tuple[int, int],
-) -> Moment | None:
+) -> FramePairChoice | None:
     """Find two frames; gaps are drawn evenly in their logarithm. None if a number of tries finds none.
 
     Args:
@@ -60,7 +58,7 @@ def pick_moment(
     """
     poses = recording.world_T_object
     if movers[1] == 0:
-        return Moment(0, 0, poses[[0, 0]], np.zeros(poses.shape[1], np.bool_))
+        return FramePairChoice(0, 0, poses[[0, 0]], np.zeros(poses.shape[1], np.bool_))
     clouds = [_points(model, scale) for model, scale in zip(models, scales, strict=True)]
     last = len(poses) - 1
     for _ in range(TRIES):
@@ -68,7 +66,7 @@ def pick_moment(
         prev = int(rng.integers(0, last - frames + 1))
         pair = poses[[prev, prev + frames]].copy()
         raw = np.array([_shift(cloud, *pair[:, k]) for k, cloud in enumerate(clouds)])
-        moves, still = raw >= MOVED, raw < STILL
+        moves, still = raw >= MOVED, raw < MIN_DISPLACEMENT
         if not movers[0] <= moves.sum() <= movers[1] or not (moves | still).all():
             continue
         if max(recording.depth[prev], recording.depth[prev + frames]) > MAX_DEPTH:
@@ -79,21 +77,21 @@ def pick_moment(
         ):
             continue
         pair[1, still] = pair[0, still]
-        return Moment(prev, prev + frames, pair, moves)
+        return FramePairChoice(prev, prev + frames, pair, moves)
     return None
 
 
-def _points(model: ObjectModel, scale: float) -> Array:
+def _points(model: ObjectModel, scale: float) -> Float64Array:
     return np.asarray(model.vertices[:: max(1, len(model.vertices) // POINTS)] * scale)
 
 
-def _shift(cloud: Array, prev: Array, curr: Array) -> float:
+def _shift(cloud: Float64Array, prev: Float64Array, curr: Float64Array) -> float:
     """Metres between where points are in two poses, on average."""
     moved = cloud @ (prev[:3, :3] - curr[:3, :3]).T + prev[:3, 3] - curr[:3, 3]
     return float(np.linalg.norm(moved, axis=1).mean())
 
 
-def _reduced_shift(cloud: Array, prev: Array, curr: Array, model: ObjectModel) -> float:
+def _reduced_shift(cloud: Float64Array, prev: Float64Array, curr: Float64Array, model: ObjectModel) -> float:
     """The same for the least motion that looks like it: a ball that spins on the spot does not seem to move."""
     if not model.symmetry:
         return math.inf

@@ -25,7 +25,7 @@ ROWS_A_SHARD = 512
 
 
 @dataclass(frozen=True)
-class Job:
+class GenerationJob:
     """One part of a data set to be made: all its pairs or all its sequences.
 
     Attributes:
@@ -63,7 +63,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Progress:
+class GenerationProgress:
     """How far a run is: rows of this run's shards, and what the last scene brought (None: shards found finished)."""
 
     done: int
@@ -73,13 +73,13 @@ class Progress:
 
 def generate(
     out: Path,
-    jobs: Sequence[Job],
+    jobs: Sequence[GenerationJob],
     pool: Pool,
     *,
     seed: int,
     settings: dict[str, Any],
     shard: tuple[int, int] = (1, 1),
-    report: Callable[[Progress], None] = lambda progress: None,
+    report: Callable[[GenerationProgress], None] = lambda progress: None,
 ) -> Manifest | None:
     """Make a data set, or what is missing of it.
 
@@ -125,16 +125,16 @@ def generate(
 
 def _make_shards(
     out: Path,
-    mine: list[tuple[Job, int]],
+    mine: list[tuple[GenerationJob, int]],
     pool: Pool,
     origin: dict[str, Any],
-    report: Callable[[Progress], None],
+    report: Callable[[GenerationProgress], None],
 ) -> None:
     total = sum(job.rows_of(scene) for job, number in mine for scene in job.shards[number])
     missing = [(job, number) for job, number in mine if not (out / _name(job, number)).exists()]
     left = sum(job.rows_of(scene) for job, number in missing for scene in job.shards[number])
     done = total - left
-    report(Progress(done, total, None))
+    report(GenerationProgress(done, total, None))
     tasks = (Task(job.kind, scene) for job, number in missing for scene in job.shards[number])
     scenes = pool.run(tasks) if missing else iter(())
     for job, number in missing:
@@ -145,7 +145,7 @@ def _make_shards(
             for reason, count in made.rejected.items():
                 rejected[reason] = rejected.get(reason, 0) + count
             done += job.rows_of(scene)
-            report(Progress(done, total, made))
+            report(GenerationProgress(done, total, made))
         write_shard(out / _name(job, number), rows, job.kind, {**origin, **_identity(job), "rejected": rejected})
 
 
@@ -153,15 +153,15 @@ def _take(scenes: Iterator[SceneRows], indices: range) -> Iterator[tuple[int, Sc
     return zip(indices, islice(scenes, len(indices)), strict=True)
 
 
-def _name(job: Job, number: int) -> str:
+def _name(job: GenerationJob, number: int) -> str:
     return shard_name(job.part, number, len(job.shards))
 
 
-def _identity(job: Job) -> dict[str, Any]:
+def _identity(job: GenerationJob) -> dict[str, Any]:
     return {"kind": job.kind, "split": job.split, "count": job.count, "rows_a_scene": job.rows_a_scene}
 
 
-def _check_folder(out: Path, origin: dict[str, Any], job: Job) -> None:
+def _check_folder(out: Path, origin: dict[str, Any], job: GenerationJob) -> None:
     """Refuse a folder whose shards would not belong together with the job's."""
     for path in sorted(out.glob("*.parquet")):
         found, _ = read_metadata(path)
@@ -208,7 +208,7 @@ def _alive(process: int) -> bool:
     return True
 
 
-def _write_manifest(out: Path, origin: dict[str, Any], jobs: Sequence[Job]) -> Manifest | None:
+def _write_manifest(out: Path, origin: dict[str, Any], jobs: Sequence[GenerationJob]) -> Manifest | None:
     """Make the manifest from the shards alone, so that it is the same however they came about."""
     while True:
         if any(not (out / _name(job, number)).exists() for job in jobs for number in range(len(job.shards))):

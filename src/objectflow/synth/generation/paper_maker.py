@@ -20,7 +20,7 @@ from objectflow.synth.scenes.paper_scene import SceneSettings, draw_scene_and_mo
 
 
 @dataclass(frozen=True)
-class Scenes:
+class PaperScenes:
     """Makes the scenes of one split; each process that does calls it once, and keeps its renderer.
 
     Attributes:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_objects
@@ -19,6 +18,7 @@ from objectflow.synth.physics.mjcf import build_model
 from objectflow.synth.physics.simulate import PAIR_FRAMES, SEQUENCE_FRAMES, RejectedSceneError, Trajectory, simulate
 from objectflow.synth.rendering.renderer import Frames, Renderer
 from objectflow.synth.scenes.scene_data import Scene, View
+from objectflow.typing import Float64Array, LabelImage
 
 MIN_PIXELS = 60
 """An object counts as seen from so many pixels on, at 320x240."""
@@ -64,7 +64,7 @@ class _Take:
     """Frames of a scene as one camera sees them."""
 
     frames: list[RgbdFrame]
-    labels: NDArray[np.int32]
+    labels: LabelImage
     """(F, H, W)."""
     objects: list[tuple[FrameObject, ...]]
     """Of each frame."""
@@ -161,7 +161,7 @@ def _check_pictures(pictures: Frames, scene: Scene) -> None:
         raise RejectedSceneError("unseen", "no object is seen in both frames")
 
 
-def _objects(models: Sequence[ObjectModel], camera_T_objects: NDArray[np.float64]) -> tuple[FrameObject, ...]:
+def _objects(models: Sequence[ObjectModel], camera_T_objects: Float64Array) -> tuple[FrameObject, ...]:
     return tuple(
         FrameObject(
             label=number, category=model.category, model=model.name, symmetry=model.symmetry, pose=camera_T_object

@@ -18,12 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from objectflow.errors import DatasetError, MissingExtraError
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 MAX_PARTS = 24
 SETTINGS = {
@@ -41,7 +39,7 @@ SETTINGS = {
 TIME_LIMIT = 600.0
 
 
-def decompose(vertices: Array, faces: NDArray[np.int32], name: str) -> tuple[Array, ...]:
+def decompose(vertices: Float64Array, faces: LabelImage, name: str) -> tuple[Float64Array, ...]:
     """Convex parts of a mesh, open or closed.
 
     Args:
@@ -69,7 +67,7 @@ def decompose(vertices: Array, faces: NDArray[np.int32], name: str) -> tuple[Arr
     return (hull,)
 
 
-def _solve(vertices: Array, faces: NDArray[np.int32], preprocess: str) -> tuple[Array, ...]:
+def _solve(vertices: Float64Array, faces: LabelImage, preprocess: str) -> tuple[Float64Array, ...]:
     """Run the solver in a child process; nothing when it fails."""
     with tempfile.TemporaryDirectory(prefix="objectflow-") as folder:
         given, taken = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
@@ -87,7 +85,7 @@ def _solve(vertices: Array, faces: NDArray[np.int32], preprocess: str) -> tuple[
             return unpack(data)
 
 
-def hull_corners(points: Array) -> Array | None:
+def hull_corners(points: Float64Array) -> Float64Array | None:
     """The corners of a convex hull, or None where the points are flat."""
     try:
         return np.ascontiguousarray(points[ConvexHull(points).vertices])
@@ -95,7 +93,7 @@ def hull_corners(points: Array) -> Array | None:
         return None
 
 
-def pack(parts: Sequence[Array], **others: Array) -> bytes:
+def pack(parts: Sequence[Float64Array], **others: Float64Array) -> bytes:
     """Convex parts, and other arrays, as the bytes of one `.npz`."""
     arrays: dict[str, Any] = {**others, **{f"part{i:03d}": part for i, part in enumerate(parts)}}
     buffer = io.BytesIO()
@@ -103,7 +101,7 @@ def pack(parts: Sequence[Array], **others: Array) -> bytes:
     return buffer.getvalue()
 
 
-def unpack(data: Mapping[str, Array]) -> tuple[Array, ...]:
+def unpack(data: Mapping[str, Float64Array]) -> tuple[Float64Array, ...]:
     """The parts of a loaded `pack`, in their order."""
     return tuple(data[name] for name in sorted(data) if name.startswith("part"))
 

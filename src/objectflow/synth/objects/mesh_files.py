@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError, MissingExtraError
+from objectflow.typing import Float64Array, LabelImage, UInt8Array
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 
@@ -24,13 +24,13 @@ _PLAIN_GREY = (102, 102, 102)
 class MeshFile(NamedTuple):
     """A mesh as the file has it: its own units and origin."""
 
-    vertices: NDArray[np.float64]
+    vertices: Float64Array
     """(V, 3); split where texture coordinates are."""
-    faces: NDArray[np.int32]
+    faces: LabelImage
     """(F, 3)."""
-    uv: NDArray[np.float64]
+    uv: Float64Array
     """(V, 2)."""
-    texture: NDArray[np.uint8] | None
+    texture: UInt8Array | None
     """(h, w, 3) RGB, None where the file says nothing about colour."""
 
     def digest(self) -> str:
@@ -105,14 +105,14 @@ def _combined(geometries: list[Any], coordinates: list[Any], pictures: list[Any]
     return MeshFile(np.concatenate(vertices), joined, np.concatenate(uvs), texture)
 
 
-def _file_uv(geometry: Any) -> NDArray[np.float64] | None:
+def _file_uv(geometry: Any) -> Float64Array | None:
     uv = getattr(geometry.visual, "uv", None)
     if uv is None or len(uv) != len(geometry.vertices) or not np.isfinite(uv).all():
         return None
     return np.asarray(uv, dtype=np.float64)
 
 
-def _picture(geometry: Any, path: Path) -> NDArray[np.uint8] | None:
+def _picture(geometry: Any, path: Path) -> UInt8Array | None:
     """The colour of one material as a picture: its texture, or a few pixels of its plain colour."""
     material = getattr(geometry.visual, "material", None)
     if material is None:
@@ -131,9 +131,9 @@ def _picture(geometry: Any, path: Path) -> NDArray[np.uint8] | None:
     return None if colour is None else np.broadcast_to(colour, (4, 4, 3)).astype(np.uint8)
 
 
-def _mtl_materials(path: Path) -> dict[str, tuple[NDArray[np.uint8] | None, Path | None]]:
+def _mtl_materials(path: Path) -> dict[str, tuple[UInt8Array | None, Path | None]]:
     """Colour and texture file of each material of the `.mtl` files that an OBJ names (Wavefront's format)."""
-    found: dict[str, tuple[NDArray[np.uint8] | None, Path | None]] = {}
+    found: dict[str, tuple[UInt8Array | None, Path | None]] = {}
     if path.suffix.lower() != ".obj":
         return found
     with open(path, encoding="utf-8", errors="replace") as lines:

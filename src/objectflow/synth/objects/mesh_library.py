@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError, StorageError
 from objectflow.geometry.symmetry import SymmetryAxis
@@ -23,6 +22,7 @@ from objectflow.synth.objects.mesh_files import SUFFIXES, read_mesh
 from objectflow.synth.objects.model import ModelRef, ObjectModel
 from objectflow.synth.objects.shapes.solid import signed_volume, surface_center
 from objectflow.synth.objects.symmetry_detection import detect
+from objectflow.typing import Float64Array, LabelImage
 
 SHAPENET_SYNSETS = {
     "02801938": "basket",
@@ -137,8 +137,8 @@ class MeshLibrary:
         return ObjectModel(ref.category, ref.name, vertices, faces, mesh.uv, parts, symmetry, mesh.texture)
 
     def _solved(
-        self, key: str, vertices: NDArray[np.float64], faces: NDArray[np.int32], name: str
-    ) -> tuple[tuple[NDArray[np.float64], ...], tuple[SymmetryAxis, ...]]:
+        self, key: str, vertices: Float64Array, faces: LabelImage, name: str
+    ) -> tuple[tuple[Float64Array, ...], tuple[SymmetryAxis, ...]]:
         """Convex parts and symmetry, from the cache or worked out and put there."""
         path = self.cache / f"{key}.npz"
         if not path.is_file():
@@ -212,7 +212,7 @@ def _split(refs: list[ModelRef]) -> dict[str, list[ModelRef]]:
     return {split: sorted(models) for split, models in out.items()}
 
 
-def _scale(vertices: NDArray[np.float64], name: str) -> float:
+def _scale(vertices: Float64Array, name: str) -> float:
     """1 for a mesh of a plausible size in metres, otherwise what brings it to a size drawn by its name."""
     size = float(np.ptp(vertices, axis=0).max())
     if _PLAUSIBLE[0] <= size <= _PLAUSIBLE[1]:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.typing import Float64Array, LabelImage, UInt8Array
 
 
 class ModelRef(NamedTuple):
@@ -30,21 +30,21 @@ class ObjectModel:
 
     category: str
     name: str
-    vertices: NDArray[np.float64]
+    vertices: Float64Array
     """(V, 3) metres, object frame. Split at texture seams; closed once equal points are merged. The surface may be
     a union of closed solids that overlap (a mug's handle enters its wall)."""
-    faces: NDArray[np.int32]
+    faces: LabelImage
     """(F, 3) indices into `vertices`, counter-clockwise seen from outside."""
-    uv: NDArray[np.float64]
+    uv: Float64Array
     """(V, 2) texture coordinates, mostly in [0, 1]; v runs upwards."""
-    parts: tuple[NDArray[np.float64], ...]
+    parts: tuple[Float64Array, ...]
     """Collision shape: a union of convex hulls. Each (P, 3) metres, object frame, has the points of one hull; some of
     them may lie inside it."""
     symmetry: tuple[SymmetryAxis, ...]
     """All axes of a finite group, each with its highest order. With a continuous axis that can be turned over, that
     axis and one C2 axis across it, which stands for all; a ball has three continuous axes. Empty when only the
     identity maps the object to itself. Geometric: a texture may break it, as in the paper."""
-    texture: NDArray[np.uint8] | None = None
+    texture: UInt8Array | None = None
     """(h, w, 3) uint8 RGB, where a mesh file brings its own."""
 
     @property

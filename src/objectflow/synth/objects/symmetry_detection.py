@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from objectflow.geometry.se3 import kabsch, rotation_angle, so3_exp, so3_log
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.synth.objects.shapes.solid import surface_center
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, Int64Array, LabelImage
 
 MAX_ORDER = 12
 _ODD_TURNS = np.deg2rad([17.0, 43.0, 101.0, 163.0])
@@ -33,7 +31,7 @@ _NEIGHBOURS = 12
 _SAME_AXIS = np.cos(np.deg2rad(6.0))
 
 
-def detect(vertices: Array, faces: NDArray[np.int32], tolerance: float = 0.01) -> tuple[SymmetryAxis, ...]:
+def detect(vertices: Float64Array, faces: LabelImage, tolerance: float = 0.01) -> tuple[SymmetryAxis, ...]:
     """The rotation axes of a surface, each with its highest order, all through `surface_center`.
 
     Args:
@@ -67,14 +65,14 @@ class _Axes:
     """The axes found so far, without duplicates."""
 
     def __init__(self) -> None:
-        self._found: list[tuple[Array, int]] = []
-        self._implied: list[tuple[Array, int]] = []
+        self._found: list[tuple[Float64Array, int]] = []
+        self._implied: list[tuple[Float64Array, int]] = []
 
     @property
     def continuous(self) -> int:
         return sum(order == 0 for _, order in self._found)
 
-    def add(self, axis: Array, surface: _Surface, hint: int | None = None) -> None:
+    def add(self, axis: Float64Array, surface: _Surface, hint: int | None = None) -> None:
         """Take an axis in if the surface turns about it; `hint` is the order to refine it by."""
         known = self._implied if hint else self._found  # a principal axis may have a higher order than others imply
         if _listed(axis, known):
@@ -100,11 +98,11 @@ class _Axes:
         return tuple(_symmetry_axis(*item) for item in sorted(self._implied, key=lambda item: -item[1]))
 
 
-def _listed(axis: Array, axes: list[tuple[Array, int]]) -> bool:
+def _listed(axis: Float64Array, axes: list[tuple[Float64Array, int]]) -> bool:
     return any(abs(axis @ other) > _SAME_AXIS for other, _ in axes)
 
 
-def _completed(found: list[tuple[Array, int]]) -> list[tuple[Array, int]]:
+def _completed(found: list[tuple[Float64Array, int]]) -> list[tuple[Float64Array, int]]:
     """All axes of the finite group that some axes generate: multiply its turns until nothing new comes out."""
     generators = [so3_exp(2 * np.pi / order * axis) for axis, order in found]
     group = [np.eye(3)]
@@ -123,17 +121,17 @@ def _completed(found: list[tuple[Array, int]]) -> list[tuple[Array, int]]:
     return out
 
 
-def _turns_about(rotation: Array, axis: Array) -> bool:
+def _turns_about(rotation: Float64Array, axis: Float64Array) -> bool:
     return bool(abs(so3_log(rotation) @ axis) > _SAME_AXIS * rotation_angle(rotation))
 
 
-def _symmetry_axis(axis: Array, order: int) -> SymmetryAxis:
+def _symmetry_axis(axis: Float64Array, order: int) -> SymmetryAxis:
     largest = axis[np.argmax(np.abs(axis) > 0.9 * np.abs(axis).max())]
     x, y, z = (axis if largest > 0 else -axis) + 0.0
     return SymmetryAxis((float(x), float(y), float(z)), order)
 
 
-def _half_sphere(count: int) -> Array:
+def _half_sphere(count: int) -> Float64Array:
     """(count, 3) directions spread evenly over half a sphere (a Fibonacci lattice)."""
     i = np.arange(count)
     z = (i + 0.5) / count
@@ -142,10 +140,10 @@ def _half_sphere(count: int) -> Array:
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
-def _search(directions: Array, order: int, surface: _Surface, found: _Axes) -> None:
+def _search(directions: Float64Array, order: int, surface: _Surface, found: _Axes) -> None:
     """Try the directions about which the surface misses itself least."""
     misses = [surface.quick_miss(direction, order) for direction in directions]
-    tried: list[Array] = []
+    tried: list[Float64Array] = []
     for i in np.argsort(misses, kind="stable"):
         if len(tried) >= 12 or misses[i] > 0.08 or found.continuous > 1:
             return
@@ -159,7 +157,7 @@ def _search(directions: Array, order: int, surface: _Surface, found: _Axes) -> N
 class _Surface:
     """A centred mesh that can be compared with turned copies of itself; lengths in units of its radius."""
 
-    def __init__(self, triangles: Array, rng: Generator, tolerance: float) -> None:
+    def __init__(self, triangles: Float64Array, rng: Generator, tolerance: float) -> None:
         radius = float(np.linalg.norm(triangles, axis=-1).max())
         self._triangles = triangles / radius
         self._tolerance = tolerance
@@ -169,13 +167,13 @@ class _Surface:
         total = self._triangles.sum(axis=1)
         weight = self._share[:, None]
         corners = sum((weight * self._triangles[:, i]).T @ self._triangles[:, i] for i in range(3))
-        self.second_moment: Array = (corners + (weight * total).T @ total) / 12
+        self.second_moment: Float64Array = (corners + (weight * total).T @ total) / 12
         points, self._owner = self._sample(20_000, rng)
         self._tree = cKDTree(points)
         self._query, _ = self._sample(1500, rng)
         self._few = self._query[:250]
 
-    def _sample(self, count: int, rng: Generator) -> tuple[Array, NDArray[np.int64]]:
+    def _sample(self, count: int, rng: Generator) -> tuple[Float64Array, Int64Array]:
         """Points spread over the surface by area, and the triangle of each; evenly along the list of triangles."""
         edges = np.cumsum(self._share)
         at = (np.arange(count) + rng.random(count)) / count
@@ -188,19 +186,19 @@ class _Surface:
         order = rng.permutation(count)
         return points[order], owner[order]
 
-    def _closest(self, points: Array) -> Array:
+    def _closest(self, points: Float64Array) -> Float64Array:
         """(Q, 3) -> (Q, 3): the nearest point of the triangles that own the nearest few samples."""
         _, near = self._tree.query(points, k=_NEIGHBOURS)
         candidates = closest_on_triangles(points[:, None], self._triangles[self._owner[near]])
         best = np.linalg.norm(candidates - points[:, None], axis=-1).argmin(axis=1)
         return np.asarray(candidates[np.arange(len(points)), best])
 
-    def quick_miss(self, axis: Array, order: int) -> float:
+    def quick_miss(self, axis: Float64Array, order: int) -> float:
         """Mean distance between a few turned points and the surface's samples: cheap, good for ranking only."""
         distance, _ = self._tree.query(self._few[:100] @ so3_exp(2 * np.pi / order * axis).T)
         return float(np.mean(distance))
 
-    def _miss(self, axis: Array, angle: float) -> float:
+    def _miss(self, axis: Float64Array, angle: float) -> float:
         """How far the surface turned by `angle` is from being the surface again; rough where it is hopeless."""
         R = so3_exp(angle * axis)
         miss = 0.0
@@ -211,7 +209,7 @@ class _Surface:
                 break
         return miss
 
-    def order(self, axis: Array) -> int | None:
+    def order(self, axis: Float64Array) -> int | None:
         """0 for continuous, the highest n <= 12 for C_n, None for no symmetry about this axis."""
         if all(self._miss(axis, angle) <= self._tolerance for angle in _ODD_TURNS):
             return 0
@@ -220,7 +218,7 @@ class _Surface:
         limit = min(self._tolerance, min(misses.values()) + 0.15 * self._tolerance)
         return max((n for n, miss in misses.items() if miss <= limit), default=None)
 
-    def refined(self, axis: Array, order: int) -> Array:
+    def refined(self, axis: Float64Array, order: int) -> Float64Array:
         """The axis of the rotation near C_n about `axis` that fits the surface to itself best (ICP, trimmed)."""
         points = self._query[:400]
         R = so3_exp(2 * np.pi / order * axis)
@@ -237,7 +235,7 @@ class _Surface:
         return axis if length < 0.1 else np.asarray(vector / length * np.sign(vector @ axis or 1.0))
 
 
-def closest_on_triangles(points: Array, triangles: Array) -> Array:
+def closest_on_triangles(points: Float64Array, triangles: Float64Array) -> Float64Array:
     """The point of each triangle (..., 3, 3) nearest to each point (..., 3); shapes broadcast."""
     a, b, c = (triangles[..., i, :] for i in range(3))
     ab, ac, ap = b - a, c - a, points - a
@@ -258,5 +256,5 @@ def closest_on_triangles(points: Array, triangles: Array) -> Array:
     return best
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _dot(a: Float64Array, b: Float64Array) -> Float64Array:
     return np.asarray(np.einsum("...i,...i->...", a, b))

@@ -9,7 +9,6 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -27,8 +26,7 @@ from objectflow.synth.physics.recording import (
     Recording,
 )
 from objectflow.synth.scenes.scene_data import Scene
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 
 def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
@@ -98,7 +96,7 @@ def _world(bullet: ModuleType) -> Iterator[int]:
         bullet.disconnect(physicsClientId=world)
 
 
-def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T_mass: Array) -> int:
+def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T_mass: Float64Array) -> int:
     """A body whose frame is that of its mass, as Bullet wants it."""
     # Several hulls make one shape only by way of a file: each of its objects becomes the hull of its vertices.
     shape = bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(file), physicsClientId=world)
@@ -122,7 +120,7 @@ def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T
     return body
 
 
-def _wavefront(parts: Sequence[Array]) -> Iterator[str]:
+def _wavefront(parts: Sequence[Float64Array]) -> Iterator[str]:
     """An OBJ file of the convex hulls of some points."""
     first = 1
     for number, points in enumerate(parts):
@@ -132,13 +130,18 @@ def _wavefront(parts: Sequence[Array]) -> Iterator[str]:
         first += len(points)
 
 
-def _pose(bullet: ModuleType, world: int, body: int) -> Array:
+def _pose(bullet: ModuleType, world: int, body: int) -> Float64Array:
     position, quaternion = bullet.getBasePositionAndOrientation(body, physicsClientId=world)
     return make_transform(Rotation.from_quat(quaternion).as_matrix(), position)
 
 
 def _energy(
-    bullet: ModuleType, world: int, bodies: Sequence[int], world_T_mass: Array, mass: Array, inertia: Array
+    bullet: ModuleType,
+    world: int,
+    bodies: Sequence[int],
+    world_T_mass: Float64Array,
+    mass: Float64Array,
+    inertia: Float64Array,
 ) -> float:
     """Joules, kinetic and potential."""
     velocity = np.array([bullet.getBaseVelocity(body, physicsClientId=world) for body in bodies])

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.geometry.se3 import make_transform
 from objectflow.synth.objects.model import ObjectModel
@@ -15,8 +14,7 @@ from objectflow.synth.physics.recording import ANGULAR_DAMPING, FRAME, GRAVITY, 
 from objectflow.synth.physics.simulate import MAX_SPEED, RejectedSceneError
 from objectflow.synth.scenes.actions import Action, is_led, led_velocity
 from objectflow.synth.scenes.scene_data import Scene
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 SETTLE = 75
 """Frames in which everything comes to rest, unseen."""
@@ -67,14 +65,14 @@ class _Phase:
     """Steps of the engine in which some objects are led."""
 
     def __init__(
-        self, mujoco: Any, model: Any, data: Any, step: float, actions: Sequence[Action], low: Sequence[Array]
+        self, mujoco: Any, model: Any, data: Any, step: float, actions: Sequence[Action], low: Sequence[Float64Array]
     ) -> None:
         self._mujoco, self._model, self._data, self._step = mujoco, model, data, step
         self._actions = actions
         self._low = low
-        self._edges: dict[int, Array] = {}
+        self._edges: dict[int, Float64Array] = {}
 
-    def step(self, time: float, keep: Array) -> None:
+    def step(self, time: float, keep: Float64Array) -> None:
         """One step at a time in frames; every velocity keeps a share."""
         led = [action for action in self._actions if is_led(action, time)]
         data, model = self._data, self._model
@@ -94,7 +92,7 @@ class _Phase:
         # MuJoCo has a free body's angular velocity in the body's own axes.
         data.qvel[first + 3 : first + 6] = data.xmat[body].reshape(3, 3).T @ spin
 
-    def _arm(self, action: Action) -> Array:
+    def _arm(self, action: Action) -> Float64Array:
         """From the edge over which an object is tipped, the lowest foremost point at the start, to its origin."""
         if action.kind != "topple":
             return np.zeros(3)
@@ -107,7 +105,7 @@ class _Phase:
         return np.asarray(position - self._edges[action.object])
 
 
-def _lowest(model: ObjectModel, scale: float) -> Array:
+def _lowest(model: ObjectModel, scale: float) -> Float64Array:
     """(P, 3) points of the collision shape, metres, some hundred at most."""
     points = np.concatenate(model.parts) * scale
     return np.asarray(points[:: max(1, len(points) // 400)])

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError, MissingExtraError
 from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.physics.recording import FRAME, FRICTION, GRAVITY, SUBSTEPS
 from objectflow.synth.scenes.scene_data import Scene, SceneObject, Slab
 from objectflow.synth.scenes.textures import TextureSpec, draw_texture
+from objectflow.typing import Float32Array, Float64Array, LabelImage, UInt8Array
 
 FLOOR_HALF = 2.0
 """Metres; what is seen of the floor ends there, so that depth stays finite. Nothing falls off: it collides further."""
@@ -125,9 +125,9 @@ def _add_slab(mujoco: Any, spec: Any, number: int, slab: Slab, *, solid: bool, v
     geom.contype = geom.conaffinity = 0
 
 
-def box_mesh(half: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64]]:
+def box_mesh(half: Sequence[float]) -> tuple[Float64Array, LabelImage, Float64Array]:
     """A box about the origin: (24, 3) vertices, (12, 3) faces that look outwards, (24, 2) metres along each side."""
-    vertices: list[NDArray[np.float64]] = []
+    vertices: list[Float64Array] = []
     faces: list[list[int]] = []
     uv: list[tuple[float, float]] = []
     for axis in range(3):
@@ -173,9 +173,7 @@ def _add_surface(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObje
     geom.mass = 0
 
 
-def _add_material(
-    mujoco: Any, spec: Any, name: str, picture: NDArray[np.uint8], specular: float, shininess: float
-) -> Any:
+def _add_material(mujoco: Any, spec: Any, name: str, picture: UInt8Array, specular: float, shininess: float) -> Any:
     texture = spec.add_texture(
         name=name,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -221,5 +219,5 @@ def _add_surroundings(mujoco: Any, spec: Any, scene: Scene) -> None:
     )
 
 
-def _flat(values: NDArray[np.float64]) -> NDArray[np.float32]:
+def _flat(values: Float64Array) -> Float32Array:
     return np.ascontiguousarray(values, dtype=np.float32).ravel()

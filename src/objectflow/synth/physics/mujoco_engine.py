@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.geometry.se3 import make_transform
 from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.physics.mjcf import build_model, import_mujoco
 from objectflow.synth.physics.recording import ANGULAR_DAMPING, FRAME, LINEAR_DAMPING, SUBSTEPS, Recording
 from objectflow.synth.scenes.scene_data import Scene
+from objectflow.typing import Float64Array
 
 
 def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
@@ -47,6 +47,6 @@ def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
     return Recording(poses, depth, energy)
 
 
-def _poses(data: Any, count: int) -> NDArray[np.float64]:
+def _poses(data: Any, count: int) -> Float64Array:
     """(N, 4, 4): every body but the world is an object."""
     return make_transform(data.xmat[1 : count + 1].reshape(-1, 3, 3), data.xpos[1 : count + 1])

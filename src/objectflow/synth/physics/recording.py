@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from objectflow.typing import Float64Array
 
 GRAVITY = 9.81
 """Metres a second squared, down."""
@@ -23,9 +22,9 @@ LINEAR_DAMPING, ANGULAR_DAMPING = 0.9, 0.8
 class Recording:
     """Frames 0..L of a simulation of N objects."""
 
-    world_T_object: NDArray[np.float64]
+    world_T_object: Float64Array
     """(L + 1, N, 4, 4) metres."""
-    depth: NDArray[np.float64]
+    depth: Float64Array
     """(L + 1,) deepest penetration in metres, 0 where nothing touches."""
-    energy: NDArray[np.float64]
+    energy: Float64Array
     """(L + 1,) kinetic and potential energy in joules, the latter from the floor up."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.physics.recording import Recording
 from objectflow.synth.scenes.scene_data import Scene
+from objectflow.typing import BoolMask, Float64Array
 
 Engine = Literal["mujoco", "bullet"]
 
@@ -59,12 +59,12 @@ class Trajectory:
     """
 
     frames: tuple[int, ...]
-    world_T_object: NDArray[np.float64]
+    world_T_object: Float64Array
     depth: float
     gain: float
 
     @property
-    def displacement(self) -> NDArray[np.float64]:
+    def displacement(self) -> Float64Array:
         """(N,) metres between where each object's centre is at the first frame and at the last."""
         return np.asarray(
             np.linalg.norm(self.world_T_object[-1, :, :3, 3] - self.world_T_object[0, :, :3, 3], axis=-1)
@@ -122,7 +122,7 @@ def check(recording: Recording, frames: tuple[int, ...]) -> Trajectory:
     return Trajectory(frames, poses[list(frames)], depth, gain)
 
 
-def _jitters(position: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _jitters(position: Float64Array) -> BoolMask:
     """(N,) which objects go to and fro from frame to frame, at any time."""
     window = 15
     steps = np.diff(position, axis=0)

@@ -6,9 +6,9 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.geometry.camera import Camera
+from objectflow.typing import Float32Array
 
 _RADIUS = 0.471
 """Pixels from a pixel's centre to the other three of four samples: they scatter as a whole pixel's area does (their
@@ -39,7 +39,7 @@ def camera_of(model: Any, width: int, height: int) -> Camera:
     )
 
 
-def pixel_rays(model: Any, width: int, height: int, samples: int) -> NDArray[np.float32]:
+def pixel_rays(model: Any, width: int, height: int, samples: int) -> Float32Array:
     """(samples * height * width, 3) unit directions in MuJoCo's camera frame (x right, y up, z backward).
 
     The first height * width go through the pixels' centres, row by row; every further sample follows as a whole image.

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from objectflow.typing import Float32Array, Int64Array
+
 _OPENCV_T_MUJOCO = np.diag([1.0, -1.0, -1.0])
 """MuJoCo's cameras look along -z, with y up."""
 
@@ -18,24 +20,24 @@ _OPENCV_T_MUJOCO = np.diag([1.0, -1.0, -1.0])
 class Placement:
     """B = frames x cameras arrangements of a scene, the camera counting fastest. World frame, metres, float32."""
 
-    geom_position: NDArray[np.float32]
+    geom_position: Float32Array
     """(B, G, 3)."""
-    geom_rotation: NDArray[np.float32]
+    geom_rotation: Float32Array
     """(B, G, 3, 3)."""
-    camera_position: NDArray[np.float32]
+    camera_position: Float32Array
     """(B, cameras of the model, 3)."""
-    camera_rotation: NDArray[np.float32]
+    camera_rotation: Float32Array
     """(B, cameras of the model, 3, 3): columns are x right, y up, z backward."""
-    light_position: NDArray[np.float32]
+    light_position: Float32Array
     """(B, L, 3)."""
-    light_direction: NDArray[np.float32]
+    light_direction: Float32Array
     """(B, L, 3)."""
 
     @classmethod
     def of(
         cls,
         model: Any,
-        numbers: NDArray[np.int64],
+        numbers: Int64Array,
         world_T_objects: NDArray[np.floating],
         world_T_cameras: NDArray[np.floating],
     ) -> Placement:
@@ -65,18 +67,18 @@ class Placement:
         )
 
 
-def object_numbers(model: Any) -> NDArray[np.int64]:
+def object_numbers(model: Any) -> Int64Array:
     """(G,) the object that each geom of a `mujoco.MjModel` belongs to: k of body obj_k, 0 = none."""
     bodies = [re.fullmatch(r"obj_(\d+)", model.body(body).name) for body in range(model.nbody)]
     of_body = np.array([int(match[1]) if match else 0 for match in bodies], dtype=np.int64)
     return np.asarray(of_body[model.geom_bodyid], dtype=np.int64)
 
 
-def _every(values: NDArray[np.floating], times: int, along: int) -> NDArray[np.float32]:
+def _every(values: NDArray[np.floating], times: int, along: int) -> Float32Array:
     """Repeat an array as a whole along its first axis, and its second axis for every camera of the model."""
     tiled = np.tile(values, (times, along, *(1,) * (values.ndim - 2)))
     return _float(tiled)
 
 
-def _float(values: NDArray[np.floating]) -> NDArray[np.float32]:
+def _float(values: NDArray[np.floating]) -> Float32Array:
     return np.ascontiguousarray(values, dtype=np.float32)

@@ -12,7 +12,8 @@ from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.synth.rendering.camera_rays import pixel_rays
 from objectflow.synth.rendering.placement import Placement, object_numbers
 from objectflow.synth.rendering.warp_scene import TracedData, TracedModel, tighten
-from objectflow.synth.rendering.warp_setup import cycles_freed, find_device, import_tracer, quiet
+from objectflow.synth.rendering.warp_setup import cycles_freed, find_warp_device, import_tracer, quiet
+from objectflow.typing import Float32Array, LabelImage, UInt8Array
 
 DEPTH_CLIP = float(2**20)
 """Metres at which mujoco-warp's reader of depth clips; a power of two, so that scaling loses no bit."""
@@ -30,11 +31,11 @@ Device = Literal["cpu", "cuda"]
 class Frames:
     """F frames of a scene, each seen by C cameras."""
 
-    color: NDArray[np.uint8]
+    color: UInt8Array
     """(F, C, H, W, 3) RGB."""
-    depth: NDArray[np.float32]
+    depth: Float32Array
     """(F, C, H, W) metres along the optical axis at the pixel's centre; 0 where nothing is hit."""
-    labels: NDArray[np.int32]
+    labels: LabelImage
     """(F, C, H, W) from the same ray as depth: k = object k, 0 = floor or nothing."""
 
 
@@ -58,7 +59,7 @@ class Renderer:
             raise ObjectflowError(f"a pixel has 1 or 4 colour samples, not {samples}")
         self._width, self._height, self._samples = width, height, samples
         self._warp, self._tracer = import_tracer()
-        self._device = find_device(self._warp, device)
+        self._device = find_warp_device(self._warp, device)
         self._kernels: dict[Any, Any] = {}
 
     def render(
@@ -91,9 +92,7 @@ class Renderer:
         labels = np.append(numbers, 0).astype(np.int32)[geoms]
         return Frames(color.reshape(*shape, 3), depth.reshape(shape), labels.reshape(shape))
 
-    def _trace(
-        self, model: Any, placement: Placement
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.int32]]:
+    def _trace(self, model: Any, placement: Placement) -> tuple[UInt8Array, Float32Array, LabelImage]:
         """Colour (B, H, W, 3), depth (B, H, W) and geom number (B, H, W), -1 = none, of B placements."""
         wp, tracer = self._warp, self._tracer
         worlds = len(placement.camera_position)

@@ -46,7 +46,7 @@ def _remember_versions() -> None:
             package.check_version = functools.cache(package.check_version)
 
 
-def find_device(warp: ModuleType, device: str) -> Any:
+def find_warp_device(warp: ModuleType, device: str) -> Any:
     """Warp's device of "cpu" or "cuda".
 
     Raises:

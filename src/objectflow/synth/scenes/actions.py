@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
+
 Kind = Literal["push", "slide", "turn", "lift", "topple", "fall"]
 
 KINDS: tuple[Kind, ...] = ("push", "slide", "turn", "lift", "topple", "fall")
@@ -43,12 +43,12 @@ class Action:
     angle: float
 
     @property
-    def direction(self) -> Array:
+    def direction(self) -> Float64Array:
         """(3,) unit vector along the ground."""
         return np.array([math.cos(self.heading), math.sin(self.heading), 0.0])
 
     @property
-    def axis(self) -> Array:
+    def axis(self) -> Float64Array:
         """(3,) unit vector: the axis of the tilt, level and across the heading."""
         return np.array([-math.sin(self.heading), math.cos(self.heading), 0.0])
 
@@ -84,7 +84,7 @@ def is_led(action: Action, time: float) -> bool:
     return action.start <= time and (action.kind == "lift" or time < action.start + action.frames)
 
 
-def led_velocity(action: Action, time: float, frame: float, arm: Array) -> tuple[Array, Array]:
+def led_velocity(action: Action, time: float, frame: float, arm: Float64Array) -> tuple[Float64Array, Float64Array]:
     """The velocity of a led object's origin, m/s, and its angular velocity, rad/s, in the world.
 
     Paths begin and end at rest (the fifth-order polynomial of least jerk); toppling ends at full speed.

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError
@@ -18,10 +17,17 @@ from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.scenes.actions import Action, draw_action
 from objectflow.synth.scenes.appearance import draw_floor, draw_lights, draw_surface
 from objectflow.synth.scenes.initial_layout import hang
-from objectflow.synth.scenes.paper_scene import SceneSettings, check_settings, draw_intrinsics, draw_scale, load_any
+from objectflow.synth.scenes.paper_scene import (
+    SceneSettings,
+    check_scene_settings,
+    draw_intrinsics,
+    draw_scale,
+    load_any,
+)
 from objectflow.synth.scenes.scene_data import Floor, Scene, SceneObject, Slab, View
 from objectflow.synth.scenes.surroundings import Surroundings, draw_surroundings
 from objectflow.synth.scenes.textures import TextureSpec, list_images
+from objectflow.typing import Float64Array
 
 Range = tuple[float, float]
 
@@ -65,7 +71,7 @@ class WildSettings:
     """Share of the objects that wear a picture, where there is a folder of them."""
 
     def __post_init__(self) -> None:
-        check_settings(self.scene)
+        check_scene_settings(self.scene)
         if not 1 <= self.movers[0] <= self.movers[1] or not 1 <= self.gap[0] <= self.gap[1]:
             raise DatasetError(f"wild settings: movers and gap are ranges from 1 up, not {self.movers}, {self.gap}")
         shares = (self.upright, self.motionless, self.moving_camera, self.object_images)
@@ -177,9 +183,9 @@ def _draw_places(
     rng: np.random.Generator,
     models: Sequence[ObjectModel],
     scales: Sequence[float],
-    rotations: NDArray[np.float64],
+    rotations: Float64Array,
     settings: WildSettings,
-) -> tuple[NDArray[np.float64], float]:
+) -> tuple[Float64Array, float]:
     """(N, 3) positions of the objects' origins, just above the table, and the radius of the disc that they share."""
     low = np.stack([model.vertices.min(axis=0) * scale for model, scale in zip(models, scales, strict=True)])
     high = np.stack([model.vertices.max(axis=0) * scale for model, scale in zip(models, scales, strict=True)])

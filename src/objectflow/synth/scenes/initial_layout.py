@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 CLEARANCE = 0.002
 """Metres that boxes keep from each other."""
@@ -17,11 +16,11 @@ CLEARANCE = 0.002
 class Box:
     """An oriented box in the world."""
 
-    center: Array
+    center: Float64Array
     """(3,) metres."""
-    axes: Array
+    axes: Float64Array
     """(3, 3) rotation; its columns are the box's axes."""
-    half: Array
+    half: Float64Array
     """(3,) half its sides, metres."""
 
     @property
@@ -31,8 +30,8 @@ class Box:
 
 
 def hang(
-    rng: np.random.Generator, axes: Array, half: Array, lowest: float, radius: float, tries: int
-) -> NDArray[np.float64]:
+    rng: np.random.Generator, axes: Float64Array, half: Float64Array, lowest: float, radius: float, tries: int
+) -> Float64Array:
     """Find places for boxes in turn: each as low as it can hang, at the best of a few random points of a disc.
 
     Args:
@@ -78,7 +77,9 @@ def _lift(box: Box, placed: list[Box]) -> float:
     return lift
 
 
-def meeting_heights(box: Box, centers: Array, axes: Array, half: Array) -> tuple[Array, Array]:
+def meeting_heights(
+    box: Box, centers: Float64Array, axes: Float64Array, half: Float64Array
+) -> tuple[Float64Array, Float64Array]:
     """For which lifts along z a box meets each of M others: the stretches (low, high), both +inf where never.
 
     Two boxes are apart if and only if they are along one of 15 axes (Gottschalk, Lin and Manocha, SIGGRAPH 1996).

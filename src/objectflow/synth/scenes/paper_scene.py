@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError
@@ -19,6 +18,7 @@ from objectflow.synth.scenes.appearance import draw_floor, draw_lights, draw_sur
 from objectflow.synth.scenes.initial_layout import hang
 from objectflow.synth.scenes.scene_data import Floor, Light, Scene, SceneObject, View
 from objectflow.synth.scenes.textures import list_images
+from objectflow.typing import Float64Array
 
 __all__ = ["Floor", "Light", "Scene", "SceneObject", "SceneSettings", "View", "draw_scene", "draw_scene_and_models"]
 
@@ -93,7 +93,7 @@ def draw_scene_and_models(
     Raises:
         DatasetError: an unknown split, settings that cannot be, or a library whose models cannot be loaded.
     """
-    check_settings(settings)
+    check_scene_settings(settings)
     count = int(rng.integers(settings.objects[0], settings.objects[1] + 1))
     models = tuple(load_any(rng, library, split, skip) for _ in range(count))
     scales = [draw_scale(rng, model, settings) for model in models]
@@ -130,7 +130,7 @@ def draw_scene_and_models(
     return scene, models
 
 
-def check_settings(settings: SceneSettings) -> None:
+def check_scene_settings(settings: SceneSettings) -> None:
     """Refuse settings that no scene can have.
 
     Raises:
@@ -179,9 +179,9 @@ def _draw_start(
     rng: np.random.Generator,
     models: Sequence[ObjectModel],
     scales: Sequence[float],
-    rotations: NDArray[np.float64],
+    rotations: Float64Array,
     settings: SceneSettings,
-) -> NDArray[np.float64]:
+) -> Float64Array:
     """(N, 3) positions of the objects' origins."""
     low = np.stack([model.vertices.min(axis=0) * scale for model, scale in zip(models, scales, strict=True)])
     high = np.stack([model.vertices.max(axis=0) * scale for model, scale in zip(models, scales, strict=True)])
@@ -220,6 +220,6 @@ def _draw_view(rng: np.random.Generator, settings: SceneSettings) -> View:
     )
 
 
-def _floats(values: NDArray[np.float64]) -> tuple[float, float, float]:
+def _floats(values: Float64Array) -> tuple[float, float, float]:
     x, y, z = map(float, values)
     return x, y, z

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError
@@ -17,6 +16,7 @@ from objectflow.geometry.camera import Camera
 from objectflow.geometry.se3 import make_transform
 from objectflow.synth.objects.model import ModelRef
 from objectflow.synth.scenes.textures import TextureSpec
+from objectflow.typing import Float64Array
 
 Vector = tuple[float, float, float]
 
@@ -45,7 +45,7 @@ class SceneObject:
         return ModelRef(self.category, self.name)
 
     @property
-    def world_T_object(self) -> NDArray[np.float64]:
+    def world_T_object(self) -> Float64Array:
         """(4, 4) pose at the start."""
         return make_transform(Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix(), self.position)
 
@@ -102,7 +102,7 @@ class View:
     """About the viewing direction; at 0 the image's x axis is level."""
 
     @property
-    def world_T_camera(self) -> NDArray[np.float64]:
+    def world_T_camera(self) -> Float64Array:
         """(4, 4), camera frame x right, y down, z forward."""
         ca, sa, ce, se = (f(x) for x in (self.azimuth, self.elevation) for f in (math.cos, math.sin))
         backward = np.array([ca * ce, sa * ce, se])

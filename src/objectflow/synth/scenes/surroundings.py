@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.synth.scenes.scene_data import Floor, Slab
 from objectflow.synth.scenes.textures import TextureSpec
+from objectflow.typing import Float64Array
 
 _BARE = Floor(TextureSpec("plain"), 1.0, 0.0, 0.1)
 
@@ -75,7 +75,7 @@ def _bin(rng: np.random.Generator, radius: float) -> list[tuple[str, Slab]]:
     return sides
 
 
-def is_open(slabs: tuple[Slab, ...], eye: NDArray[np.float64], target: NDArray[np.float64]) -> bool:
+def is_open(slabs: tuple[Slab, ...], eye: Float64Array, target: Float64Array) -> bool:
     """Whether nothing stands between an eye and its target, and no slab is within 5 cm of the eye."""
     for slab in slabs:
         c, s = math.cos(slab.turn), math.sin(slab.turn)
@@ -89,7 +89,7 @@ def is_open(slabs: tuple[Slab, ...], eye: NDArray[np.float64], target: NDArray[n
     return True
 
 
-def _crosses(start: NDArray[np.float64], end: NDArray[np.float64], half: NDArray[np.float64]) -> bool:
+def _crosses(start: Float64Array, end: Float64Array, half: Float64Array) -> bool:
     """Whether a straight line between two points goes through a box about the origin."""
     way = end - start
     safe = np.where(np.abs(way) < 1e-12, 1e-12, way)

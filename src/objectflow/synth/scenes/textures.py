@@ -8,12 +8,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError
+from objectflow.typing import Float32Array, UInt8Array
 
 Rgb = tuple[int, int, int]
-Float = NDArray[np.float32]
 
 FLOOR_KINDS = ("wood", "tiles", "fabric", "gravel", "noise", "checker", "plain", "paper")
 OBJECT_KINDS = ("label", "stripes", "noise", "plain")
@@ -41,7 +40,7 @@ class TextureSpec:
     path: str = ""
 
 
-def draw_texture(spec: TextureSpec, size: int) -> NDArray[np.uint8]:
+def draw_texture(spec: TextureSpec, size: int) -> UInt8Array:
     """Draw a square texture: (size, size, 3) uint8 RGB, tiling at its borders, the same bytes for the same spec.
 
     Raises:
@@ -70,7 +69,7 @@ def list_images(folder: Path) -> list[Path]:
     return files
 
 
-def _image(path: Path, size: int) -> NDArray[np.uint8]:
+def _image(path: Path, size: int) -> UInt8Array:
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         raise DatasetError(f"cannot read the texture {path}: is it a picture?")
@@ -81,7 +80,7 @@ def _image(path: Path, size: int) -> NDArray[np.uint8]:
     ).astype(np.uint8)
 
 
-def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, int]]) -> Float:
+def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, int]]) -> Float32Array:
     """Smooth noise that tiles: (size, size) in [0, 1], a sum of octaves with (rows, columns) of random cells.
 
     Each octave has half the weight of the one before.
@@ -102,7 +101,7 @@ def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, 
     return ((total - low) / max(high - low, 1e-6)).astype(np.float32)
 
 
-def _mix(a: Float, b: Float, share: Float) -> Float:
+def _mix(a: Float32Array, b: Float32Array, share: Float32Array) -> Float32Array:
     """Blend colours (3,) or (H, W, 3) by a share (H, W)."""
     return np.asarray(a + (b - a) * share[..., None], dtype=np.float32)
 
@@ -111,31 +110,31 @@ def _octaves(scale: int) -> list[tuple[int, int]]:
     return [(scale * 2**k, scale * 2**k) for k in range(1, 5)]
 
 
-Colors = tuple[Float, Float, Float]
+Colors = tuple[Float32Array, Float32Array, Float32Array]
 
 
-def _plain(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _plain(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     # A hint of unevenness: no real surface is one colour.
     return _mix(colors[0], colors[0] * np.float32(0.92), value_noise(rng, size, _octaves(scale)))
 
 
-def _noise(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _noise(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     first = _mix(colors[0], colors[1], value_noise(rng, size, _octaves(scale)))
     return _mix(first, np.broadcast_to(colors[2], first.shape), value_noise(rng, size, _octaves(scale)) ** 3)
 
 
-def _checker(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _checker(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     index = np.arange(size) * 2 * scale // size
     squares = (index[:, None] + index[None, :]) % 2
     return _mix(colors[0], colors[1], squares.astype(np.float32)) * _shade(rng, size, 0.06)
 
 
-def _shade(rng: np.random.Generator, size: int, amount: float) -> Float:
+def _shade(rng: np.random.Generator, size: int, amount: float) -> Float32Array:
     """(H, W, 1) factors near one: dirt and wear."""
     return np.float32(1) - np.float32(amount) * value_noise(rng, size, [(8, 8), (32, 32), (128, 128)])[..., None]
 
 
-def _wood(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _wood(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     grain = value_noise(rng, size, [(3 * scale, 2), (12 * scale, 3), (40 * scale, 5)])
     rings = 0.5 + 0.5 * np.sin(grain * np.float32(30))
     board = np.arange(size) * scale // size
@@ -145,7 +144,7 @@ def _wood(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Fl
     return _mix(surface, colors[2] * np.float32(0.4), np.repeat(gap[:, None], size, axis=1))
 
 
-def _tiles(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _tiles(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     index = np.arange(size) * scale // size
     tone = rng.uniform(0.85, 1.0, (scale, scale)).astype(np.float32)[index][:, index][..., None]
     marble = value_noise(rng, size, _octaves(scale))
@@ -155,7 +154,7 @@ def _tiles(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> F
     return _mix(surface, colors[2], lines)
 
 
-def _fabric(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _fabric(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     phase = np.arange(size, dtype=np.float32) * (2 * np.pi * 8 * scale / size)
     weave = 0.5 + 0.25 * (np.sin(phase)[:, None] + np.sin(phase)[None, :])
     band = np.arange(size) * scale // size % 3 == 0
@@ -163,7 +162,7 @@ def _fabric(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> 
     return np.asarray(cloth * (0.75 + 0.25 * weave[..., None]) * _shade(rng, size, 0.15), dtype=np.float32)
 
 
-def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     count = min(1500, 12 * scale * scale)
     out = np.tile(colors[2] * np.float32(0.5), (size, size, 1))
     for _ in range(count):
@@ -182,7 +181,9 @@ def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> 
     return out * _shade(rng, size, 0.3)
 
 
-def _letters(rng: np.random.Generator, out: Float, color: Float, lines: int, left: float, right: float) -> None:
+def _letters(
+    rng: np.random.Generator, out: Float32Array, color: Float32Array, lines: int, left: float, right: float
+) -> None:
     """Rows of dashes as long as words, in place: print as it looks from half a metre."""
     height, size = out.shape[0] / lines, out.shape[1]
     for line in range(lines):
@@ -194,7 +195,7 @@ def _letters(rng: np.random.Generator, out: Float, color: Float, lines: int, lef
             x += width + 0.4 * height
 
 
-def _paper(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _paper(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     out = np.full((size, size, 3), 235, dtype=np.float32) * _shade(rng, size, 0.05)
     _letters(rng, out, colors[2] * np.float32(0.4), 6 * scale, 0.06, 0.94)
     for _ in range(scale):
@@ -205,7 +206,7 @@ def _paper(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> F
     return out
 
 
-def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     vertical = rng.random() < 0.5
     index = np.arange(size) * 3 * scale // size
     choice = rng.integers(0, 3, 3 * scale)[index]
@@ -214,7 +215,7 @@ def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) ->
     return np.asarray(out if vertical else out.swapaxes(0, 1), dtype=np.float32) * _shade(rng, size, 0.08)
 
 
-def draw_word(word: str, size: int, left: float, middle: float) -> Float:
+def draw_word(word: str, size: int, left: float, middle: float) -> Float32Array:
     """A (size, size) picture, 1 = ink, of a word that is whole: two thirds of the picture wide at most.
 
     `left` is the share of the free width left of it, `middle` is the share of the height above its middle.
@@ -230,13 +231,13 @@ def draw_word(word: str, size: int, left: float, middle: float) -> Float:
     return ink.astype(np.float32) / np.float32(255)
 
 
-def _readable(color: Float, ground: Float) -> Float:
+def _readable(color: Float32Array, ground: Float32Array) -> Float32Array:
     """The colour, or black or white where it could not be read on the ground."""
     far = float(np.abs(color - ground).mean()) > MIN_CONTRAST
     return color if far else np.full(3, 20 if ground.mean() > 127 else 235, dtype=np.float32)
 
 
-def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float:
+def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
     out = _plain(rng, size, scale, colors)
     for _ in range(int(rng.integers(1, 4))):
         x, y = (rng.random(2) * size).astype(int)
@@ -254,7 +255,7 @@ def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> F
     return out
 
 
-_PAINTERS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float]] = {
+_PAINTERS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float32Array]] = {
     "wood": _wood,
     "tiles": _tiles,
     "fabric": _fabric,

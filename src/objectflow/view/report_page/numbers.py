@@ -73,7 +73,7 @@ def report_numbers(evaluation: Evaluation, tables: Sequence[Table], chosen: Sequ
             {
                 "key": pair.key,
                 "scene": pair.scene,
-                "facts": describe(pair),
+                "facts": caption(pair),
                 "scores": [_scores(table.get(pair.key)) for table in scored],
             }
             for pair in (evaluation.pairs[index] for index in chosen)
@@ -81,7 +81,7 @@ def report_numbers(evaluation: Evaluation, tables: Sequence[Table], chosen: Sequ
     }
 
 
-def describe(pair: PairFacts) -> str:
+def caption(pair: PairFacts) -> str:
     """What is true of a pair, in a few words."""
     moving = sum(obj.moving for obj in pair.objects)
     words = [f"{pair.number} object{'' if pair.number == 1 else 's'}, {moving} moving"]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ResultError
+from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 NO_FLOW = -32768
 """Stands for NaN among millimetres."""
@@ -17,7 +18,7 @@ NO_FLOW = -32768
 _WEBP_QUALITY = 80
 
 
-def pack_photo(image: NDArray[np.uint8]) -> str:
+def pack_photo(image: UInt8Array) -> str:
     """(H, W, 3) uint8 RGB -> a data URI.
 
     Raises:
@@ -31,7 +32,7 @@ def pack_photo(image: NDArray[np.uint8]) -> str:
     return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
 
 
-def pack_bytes(values: NDArray[np.uint8]) -> str:
+def pack_bytes(values: UInt8Array) -> str:
     """Whole numbers under 256, such as labels."""
     return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode()
 
@@ -46,7 +47,7 @@ def pack_words(values: NDArray[np.int16]) -> str:
     return pack_bytes(np.ascontiguousarray(planes))
 
 
-def millimetres(flow: NDArray[np.float32], valid: NDArray[np.bool_]) -> NDArray[np.int16]:
+def millimetres(flow: Float32Array, valid: BoolMask) -> NDArray[np.int16]:
     """(H, W, 3) metres -> (3, H, W) whole millimetres, `NO_FLOW` where NaN.
 
     Where `valid` (H, W) is false nothing is ever shown, so the last number before is repeated: it costs no bytes.

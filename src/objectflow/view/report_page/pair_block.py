@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.evaluation.data.truth import PairTruth
 from objectflow.evaluation.metrics.pair_score import PairScore
 from objectflow.evaluation.results import EvaluationPair
 from objectflow.geometry.se3 import so3_log, transform
 from objectflow.motion import SceneMotion
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage, UInt8Array
 from objectflow.view.colors import Rgb, object_color
 from objectflow.view.flow import flow_range
 from objectflow.view.report_page.packing import millimetres, pack_bytes, pack_photo, pack_words
@@ -31,8 +31,6 @@ TRUTH = -1
 _DEPTH_STEP = 0.0005
 _MOST_LABELS = 255
 
-Array = NDArray[np.float64]
-
 
 class _Shown(NamedTuple):
     """An object as the page shows it: its value in a label image, its name and colour there, its motion if known."""
@@ -40,8 +38,8 @@ class _Shown(NamedTuple):
     label: int
     name: str
     color: Rgb
-    center: Array
-    prev_T_curr: Array
+    center: Float64Array
+    prev_T_curr: Float64Array
     turn_known: bool
 
 
@@ -89,10 +87,10 @@ def make_pair_block(
 
 def _layer(
     method: int,
-    labels: NDArray[np.int32],
-    flow: NDArray[np.float32],
+    labels: LabelImage,
+    flow: Float32Array,
     objects: Iterable[_Shown],
-    valid: NDArray[np.bool_],
+    valid: BoolMask,
     grid: tuple[slice, slice],
     small: int,
     size: tuple[int, int],
@@ -148,7 +146,7 @@ def _predicted_objects(motion: SceneMotion, truth: PairTruth, score: PairScore |
     return shown
 
 
-def _photo(color: NDArray[np.uint8], size: tuple[int, int]) -> str:
+def _photo(color: UInt8Array, size: tuple[int, int]) -> str:
     if color.shape[1::-1] != size:
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return pack_photo(color)

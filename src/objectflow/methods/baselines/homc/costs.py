@@ -15,10 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from objectflow.methods.baselines.homc.problem import Floats, Ints
 from objectflow.methods.baselines.homc.tracks import Tracks
+from objectflow.typing import BoolMask, Float64Array, Int64Array
 
 _CHUNK = 1 << 16
 """Pairs or triples at a time: their positions in all frames are a few megabytes."""
@@ -48,7 +47,7 @@ class CostSettings:
     slope: float = 0.8
 
 
-def pair_costs(tracks: Tracks, lab: Floats, pairs: Ints, settings: CostSettings) -> Floats:
+def pair_costs(tracks: Tracks, lab: Float64Array, pairs: Int64Array, settings: CostSettings) -> Float64Array:
     """(P, 2) tracks -> (P,) costs; 0 where the two are never seen to move together.
 
     Args:
@@ -71,7 +70,7 @@ def pair_costs(tracks: Tracks, lab: Floats, pairs: Ints, settings: CostSettings)
     return out
 
 
-def triple_costs(tracks: Tracks, triples: Ints, settings: CostSettings) -> tuple[Floats, NDArray[np.bool_]]:
+def triple_costs(tracks: Tracks, triples: Int64Array, settings: CostSettings) -> tuple[Float64Array, BoolMask]:
     """(T, 3) tracks -> (T,) costs, and (T,) bool: the three are seen to move together, and lie apart."""
     costs, known = np.zeros(len(triples)), np.zeros(len(triples), np.bool_)
     z = tracks.positions[..., 0].astype(np.complex128) + 1j * tracks.positions[..., 1]
@@ -97,12 +96,12 @@ def triple_costs(tracks: Tracks, triples: Ints, settings: CostSettings) -> tuple
     return costs, known
 
 
-def _greatest(values: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _greatest(values: Float64Array) -> tuple[Float64Array, BoolMask]:
     """(M, T) with NaN -> (M,) greatest, and (M,) bool: there is one; 0 where there is none."""
     known = ~np.isnan(values)
     return np.asarray(np.where(known, values, 0).max(1, initial=0)), np.asarray(known.any(1))
 
 
-def _mean(values: Floats) -> Floats:
+def _mean(values: Float64Array) -> Float64Array:
     known = ~np.isnan(values)
     return np.asarray(np.where(known, values, 0).sum(1) / np.maximum(known.sum(1), 1), dtype=np.float64)

@@ -7,17 +7,16 @@ tracks as dense as ours with a vote: near tracks count more, and tracks of the p
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from objectflow.typing import Float32Array, Float64Array, Int64Array
 
 VOTERS = 8
 COLOR_SCALE = 10.0
 """Units of Lab (L in 0..100) at which a vote is down to 61%."""
 
 
-def densify(
-    at: NDArray[np.float64], labels: NDArray[np.int64], track_lab: NDArray[np.float64], lab: NDArray[np.float32]
-) -> NDArray[np.int64]:
+def densify(at: Float64Array, labels: Int64Array, track_lab: Float64Array, lab: Float32Array) -> Int64Array:
     """Give every pixel a label.
 
     Args:

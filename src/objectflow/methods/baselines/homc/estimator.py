@@ -24,11 +24,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import fitting, matching
-from objectflow.alignment.moved import moves
+from objectflow.alignment.moved import is_moving
 from objectflow.errors import FrameError, MethodError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.methods.base import check_camera_option
@@ -39,8 +38,7 @@ from objectflow.methods.baselines.homc.multicut import import_solver
 from objectflow.methods.baselines.homc.search import solve
 from objectflow.methods.baselines.homc.tracks import follow
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, Int64Array, UInt8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +52,10 @@ class Segmentation:
         lab: (N, 3) colours in Lab.
     """
 
-    at: Array
-    origin: Array
-    labels: NDArray[np.int64]
-    lab: Array
+    at: Float64Array
+    origin: Float64Array
+    labels: Int64Array
+    lab: Float64Array
 
 
 @dataclass(frozen=True)
@@ -156,8 +154,8 @@ class Homc:
         prev: RgbdFrame,
         curr: RgbdFrame,
         segmentation: Segmentation,
-        labels: NDArray[np.int64],
-        known: NDArray[np.bool_],
+        labels: Int64Array,
+        known: BoolMask,
         start: float,
     ) -> SceneMotion:
         """Fit a rigid motion to each segment's tracks."""
@@ -185,7 +183,7 @@ class Homc:
                     id=len(objects) + 1,
                     pixels=int(mask.sum()),
                     score=score,
-                    moving=bool(moves(relative[:3, :3], shift)),
+                    moving=bool(is_moving(relative[:3, :3], shift)),
                     center=center,
                     prev_T_curr=prev_T_curr,
                 )
@@ -202,7 +200,7 @@ class Homc:
         )
 
 
-def _fit(matches: matching.Matches, curr: RgbdFrame) -> tuple[Array, float]:
+def _fit(matches: matching.PixelMatches, curr: RgbdFrame) -> tuple[Float64Array, float]:
     """The rigid motion of lifted tracks and the share of them that it explains; identity and 0 of fewer than three."""
     if len(matches.curr) < 3:
         return np.eye(4), 0.0
@@ -210,7 +208,7 @@ def _fit(matches: matching.Matches, curr: RgbdFrame) -> tuple[Array, float]:
     return prev_T_curr, float(explained.mean())
 
 
-def _ranked(parts: NDArray[np.int64], least: int) -> NDArray[np.int64]:
+def _ranked(parts: Int64Array, least: int) -> Int64Array:
     """Labels by falling size, the largest 0; parts of fewer than `least` are 0 as well."""
     if not len(parts):
         return parts
@@ -221,13 +219,13 @@ def _ranked(parts: NDArray[np.int64], least: int) -> NDArray[np.int64]:
     return np.asarray(rank[index])
 
 
-def lab_image(color: NDArray[np.uint8]) -> NDArray[np.float32]:
+def lab_image(color: UInt8Array) -> Float32Array:
     """(H, W, 3) RGB -> (H, W, 3) Lab, L in 0..100, smoothed by a 3x3 Gaussian against noise."""
     lab = cv2.cvtColor(color.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
     return np.asarray(cv2.GaussianBlur(lab, (3, 3), 0), dtype=np.float32)
 
 
-def pixel_index(at: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def pixel_index(at: Float64Array) -> tuple[IndexArray, IndexArray]:
     """(N, 2) positions -> rows and columns of the nearest pixels."""
     nearest = np.rint(at).astype(np.intp)
     return nearest[:, 1], nearest[:, 0]

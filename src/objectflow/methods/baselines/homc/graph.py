@@ -7,12 +7,12 @@ motion is, it contains this. Where translations differ, the pair's cost is left 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from objectflow.methods.baselines.homc.costs import CostSettings, pair_costs, triple_costs
-from objectflow.methods.baselines.homc.problem import Floats, Ints, Problem
+from objectflow.methods.baselines.homc.problem import Problem
 from objectflow.methods.baselines.homc.tracks import Tracks
+from objectflow.typing import BoolMask, Float64Array, Int64Array
 
 NEIGHBOURS = 12
 """Nearest tracks of a track that are its edges."""
@@ -21,7 +21,7 @@ REACHES = (4, 8, 16)
 """Lifted edges go to the nearest track of a point so many samplings away, in eight directions."""
 
 
-def build_problem(tracks: Tracks, lab: Floats, frame: int, sampling: int, settings: CostSettings) -> Problem:
+def build_problem(tracks: Tracks, lab: Float64Array, frame: int, sampling: int, settings: CostSettings) -> Problem:
     """Tracks that are all seen in one frame -> what is to be solved.
 
     Args:
@@ -58,14 +58,14 @@ def build_problem(tracks: Tracks, lab: Floats, frame: int, sampling: int, settin
     )
 
 
-def _edges(at: Floats, tree: cKDTree) -> Ints:
+def _edges(at: Float64Array, tree: cKDTree) -> Int64Array:
     count = min(NEIGHBOURS + 1, len(at))
     _, near = tree.query(at, k=count)
     near = np.asarray(near, dtype=np.int64).reshape(len(at), count)
     return _unique(np.stack([np.repeat(np.arange(len(at)), count), near.ravel()], axis=1))
 
 
-def _lifted(at: Floats, tree: cKDTree, sampling: int) -> Ints:
+def _lifted(at: Float64Array, tree: cKDTree, sampling: int) -> Int64Array:
     angles = np.arange(8) * np.pi / 4
     out = []
     for reach in REACHES:
@@ -77,7 +77,7 @@ def _lifted(at: Floats, tree: cKDTree, sampling: int) -> Ints:
     return _unique(np.concatenate(out))
 
 
-def _triples(at: Floats, tree: cKDTree, pairs: Ints) -> Ints:
+def _triples(at: Float64Array, tree: cKDTree, pairs: Int64Array) -> Int64Array:
     """For each pair (P, 2) the tracks nearest to the tips of the two equilateral triangles over it: (2 P, 3).
 
     Three points far from each other and from one line fix and test a similarity best.
@@ -89,11 +89,11 @@ def _triples(at: Floats, tree: cKDTree, pairs: Ints) -> Ints:
     return np.concatenate([np.tile(pairs, (2, 1)), third[:, None]], axis=1)
 
 
-def _proper(triples: Ints) -> NDArray[np.bool_]:
+def _proper(triples: Int64Array) -> BoolMask:
     """(T,) bool: three different nodes."""
     return np.asarray((triples[:, 2] != triples[:, 0]) & (triples[:, 2] != triples[:, 1]))
 
 
-def _unique(pairs: Ints) -> Ints:
+def _unique(pairs: Int64Array) -> Int64Array:
     pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
     return np.unique(pairs, axis=0)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from objectflow.errors import MissingExtraError
-from objectflow.methods.baselines.homc.problem import Floats, Ints, Problem
+from objectflow.methods.baselines.homc.problem import Problem
+from objectflow.typing import Float64Array, Int64Array
 
 
 def import_solver() -> Any:
@@ -29,7 +30,9 @@ def import_solver() -> Any:
     return graph
 
 
-def spread_triples(problem: Problem, labels: Ints | None, share: float = 1 / 3) -> tuple[Ints, Floats]:
+def spread_triples(
+    problem: Problem, labels: Int64Array | None, share: float = 1 / 3
+) -> tuple[Int64Array, Float64Array]:
     """Pairs (P, 2), each once with the smaller node first, and costs (P,) that stand for pairs and triples.
 
     Args:
@@ -50,7 +53,7 @@ def spread_triples(problem: Problem, labels: Ints | None, share: float = 1 / 3) 
     return unique, np.asarray(np.bincount(index, weights=costs, minlength=len(keys)), dtype=np.float64)
 
 
-def solve_pairs(problem: Problem, pairs: Ints, costs: Floats, start: Ints | None) -> Ints:
+def solve_pairs(problem: Problem, pairs: Int64Array, costs: Float64Array, start: Int64Array | None) -> Int64Array:
     """A partition for pairs alone, from a partition (N,) or, without one, from nothing joined.
 
     Raises:

@@ -11,12 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from objectflow.typing import Float64Array, Int64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,25 +29,25 @@ class Problem:
     """
 
     nodes: int
-    edges: Ints
-    pairs: Ints
-    pair_costs: Floats
-    triples: Ints
-    triple_costs: Floats
+    edges: Int64Array
+    pairs: Int64Array
+    pair_costs: Float64Array
+    triples: Int64Array
+    triple_costs: Float64Array
 
-    def energy(self, labels: Ints) -> float:
+    def energy(self, labels: Int64Array) -> float:
         """What a partition (N,) costs."""
         pair = labels[self.pairs]
         triple = labels[self.triples]
         whole = (triple[:, 0] == triple[:, 1]) & (triple[:, 1] == triple[:, 2])
         return float(self.pair_costs[pair[:, 0] == pair[:, 1]].sum() + self.triple_costs[whole].sum())
 
-    def connected(self, labels: Ints) -> Ints:
+    def connected(self, labels: Int64Array) -> Int64Array:
         """Labels (N,) with parts that the graph does not connect taken apart; numbered from 0."""
         inside = self.edges[labels[self.edges[:, 0]] == labels[self.edges[:, 1]]]
         graph = coo_array((np.ones(len(inside)), (inside[:, 0], inside[:, 1])), shape=(self.nodes, self.nodes))
         return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
-    def is_feasible(self, labels: Ints) -> bool:
+    def is_feasible(self, labels: Int64Array) -> bool:
         """Whether every part is connected."""
         return len(np.unique(self.connected(labels))) == len(np.unique(labels))

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.methods.baselines.homc.multicut import solve_pairs, spread_triples
-from objectflow.methods.baselines.homc.problem import Floats, Ints, Problem
+from objectflow.methods.baselines.homc.problem import Problem
+from objectflow.typing import Float64Array, Int64Array
 
 ROUNDS = 8
 """Most rounds of Kernighan-Lin and search; three are usual."""
@@ -24,7 +25,7 @@ three nodes is worth nothing yet, or all of it."""
 _GAIN = 1e-9
 
 
-def solve(problem: Problem) -> Ints:
+def solve(problem: Problem) -> Int64Array:
     """A partition (N,) of low energy, numbered from 0; the same for the same problem.
 
     Raises:
@@ -59,7 +60,7 @@ class _Search:
         self.triple_starts = np.searchsorted(firsts[order], np.arange(n + 1))
         self.triple_others, self.triple_cost = others[order], np.tile(problem.triple_costs, 3)[order]
 
-    def improve(self, labels: Ints) -> Ints:
+    def improve(self, labels: Int64Array) -> Int64Array:
         """Join and move until neither lowers the energy."""
         labels = labels.copy()
         while True:
@@ -67,7 +68,7 @@ class _Search:
             if not self._move(labels) and not joined:
                 return self.problem.connected(labels)
 
-    def _join(self, labels: Ints) -> bool:
+    def _join(self, labels: Int64Array) -> bool:
         """Join two neighbouring parts, or three at once, as long as that gains."""
         changed = False
         while True:
@@ -86,7 +87,7 @@ class _Search:
                 return changed
             changed = True
 
-    def _joins(self, part: Ints, count: int) -> tuple[Ints, Floats]:
+    def _joins(self, part: Int64Array, count: int) -> tuple[Int64Array, Float64Array]:
         """What joining neighbouring parts costs: (M, 3) parts, the last two equal for a pair, and (M,)."""
         p = self.problem
         pair = np.sort(part[p.pairs], axis=1)
@@ -114,12 +115,12 @@ class _Search:
         groups = np.stack([keys // count, keys % count, keys % count], axis=1)[near]
         return np.concatenate([groups, three[connected]]), np.concatenate([of_two[near], of_three[connected]])
 
-    def _move(self, labels: Ints) -> bool:
+    def _move(self, labels: Int64Array) -> bool:
         """Move single nodes to a neighbouring part, or to one of their own."""
         changed = False
         waiting = np.arange(self.problem.nodes)
         while len(waiting):
-            touched: list[Ints] = []
+            touched: list[Int64Array] = []
             for node in waiting:
                 target = self._better_part(int(node), labels)
                 if target is not None:
@@ -129,7 +130,7 @@ class _Search:
             waiting = np.unique(np.concatenate(touched)) if touched else np.zeros(0, np.int64)
         return changed
 
-    def _better_part(self, node: int, labels: Ints) -> int | None:
+    def _better_part(self, node: int, labels: Int64Array) -> int | None:
         neighbours = self.edge_other[self.edge_starts[node] : self.edge_starts[node + 1]]
         pairs = slice(self.pair_starts[node], self.pair_starts[node + 1])
         triples = slice(self.triple_starts[node], self.triple_starts[node + 1])
@@ -151,7 +152,7 @@ class _Search:
             return None
         return target
 
-    def _stays_connected(self, node: int, labels: Ints, neighbours: Ints) -> bool:
+    def _stays_connected(self, node: int, labels: Int64Array, neighbours: Int64Array) -> bool:
         """Whether the node's part holds together without it."""
         own = labels[node]
         left = {int(n) for n in neighbours[labels[neighbours] == own]}
@@ -170,7 +171,7 @@ class _Search:
                     todo.append(other)
         return not left
 
-    def _near(self, node: int) -> Ints:
+    def _near(self, node: int) -> Int64Array:
         return np.concatenate(
             [
                 self.edge_other[self.edge_starts[node] : self.edge_starts[node + 1]],
@@ -180,13 +181,13 @@ class _Search:
         )
 
 
-def _sums(keys: Ints, values: Floats) -> tuple[Ints, Floats]:
+def _sums(keys: Int64Array, values: Float64Array) -> tuple[Int64Array, Float64Array]:
     """The sum of the values of each key, by rising key."""
     unique, index = np.unique(keys, return_inverse=True)
     return unique, np.asarray(np.bincount(index, weights=values, minlength=len(unique)), dtype=np.float64)
 
 
-def _look_up(keys: Ints, values: Floats, wanted: Ints) -> Floats:
+def _look_up(keys: Int64Array, values: Float64Array, wanted: Int64Array) -> Float64Array:
     """Values of wanted keys, 0 for those that are not there."""
     if not len(keys):
         return np.zeros(len(wanted))
@@ -194,7 +195,9 @@ def _look_up(keys: Ints, values: Floats, wanted: Ints) -> Floats:
     return np.where(keys[at] == wanted, values[at], 0.0)
 
 
-def _by_node(count: int, pairs: Ints, swap: tuple[int, int], *values: Floats) -> tuple[Ints, tuple[NDArray[Any], ...]]:
+def _by_node(
+    count: int, pairs: Int64Array, swap: tuple[int, int], *values: Float64Array
+) -> tuple[Int64Array, tuple[NDArray[Any], ...]]:
     """Both directions of pairs (P, 2), by their first node: (N + 1,) starts, the other node, and the values."""
     both = np.concatenate([pairs, pairs[:, swap]])
     order = np.argsort(both[:, 0], kind="stable")

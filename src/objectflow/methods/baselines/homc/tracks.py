@@ -12,12 +12,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.alignment import matching
-
-Floats = NDArray[np.float32]
-Color = NDArray[np.uint8]
+from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
 STRUCTURE = 0.125
 """Least second eigenvalue of the structure tensor, in units of its mean over the image."""
@@ -35,8 +32,8 @@ class Tracks:
         deviations: (N, T - 1) pixels: how much the flow varies around the track, from each frame to the next.
     """
 
-    positions: Floats
-    deviations: Floats
+    positions: Float32Array
+    deviations: Float32Array
 
     def seen_in(self, frame: int) -> Tracks:
         """Those that are seen in a frame and in another."""
@@ -45,13 +42,13 @@ class Tracks:
         return Tracks(self.positions[keep], self.deviations[keep])
 
 
-def follow(images: Sequence[Color], sampling: int) -> Tracks:
+def follow(images: Sequence[UInt8Array], sampling: int) -> Tracks:
     """Follow points through (H, W, 3) RGB images, one for each cell of `sampling` pixels.
 
     A pair of images that comes again is not computed again.
     """
     height, width = images[0].shape[:2]
-    steps: dict[tuple[int, int], tuple[Floats, NDArray[np.bool_], Floats]] = {}
+    steps: dict[tuple[int, int], tuple[Float32Array, BoolMask, Float32Array]] = {}
     positions = np.zeros((0, len(images), 2), np.float32)
     deviations = np.zeros((0, len(images) - 1), np.float32)
     for t in range(len(images) - 1):
@@ -76,7 +73,7 @@ def follow(images: Sequence[Color], sampling: int) -> Tracks:
     return Tracks(positions, deviations)
 
 
-def _flow(image: Color, following: Color) -> tuple[Floats, NDArray[np.bool_], Floats]:
+def _flow(image: UInt8Array, following: UInt8Array) -> tuple[Float32Array, BoolMask, Float32Array]:
     """Flow (H, W, 2) to the following image, where it comes back, and (H, W) how much it varies on one surface."""
     flow, consistent = matching.dense_flow(matching.gray(following), matching.gray(image))
     padded = np.pad(flow, ((SPREAD, SPREAD), (SPREAD, SPREAD), (0, 0)), mode="edge")
@@ -97,18 +94,18 @@ def _flow(image: Color, following: Color) -> tuple[Floats, NDArray[np.bool_], Fl
     return flow, consistent, np.asarray(np.partition(differences, 2, axis=0)[2], dtype=np.float32)
 
 
-def _structure(image: Color) -> NDArray[np.bool_]:
+def _structure(image: UInt8Array) -> BoolMask:
     """Where a point can be told from its surroundings in every direction (Brox and Malik, ECCV 2010, section 2.1)."""
     least = cv2.cornerMinEigenVal(matching.gray(image), 5)
     return np.asarray(least > STRUCTURE * least.mean())
 
 
-def _nearest(at: Floats, height: int, width: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _nearest(at: Float32Array, height: int, width: int) -> tuple[IndexArray, IndexArray]:
     pixel = np.rint(at).astype(np.intp)
     return np.clip(pixel[:, 1], 0, height - 1), np.clip(pixel[:, 0], 0, width - 1)
 
 
-def _free_cells(positions: Floats, sampling: int, height: int, width: int) -> Floats:
+def _free_cells(positions: Float32Array, sampling: int, height: int, width: int) -> Float32Array:
     """Centres (M, 2) of the cells without a track."""
     rows, columns = -(-height // sampling), -(-width // sampling)
     taken = np.zeros((rows, columns), np.bool_)
@@ -120,7 +117,7 @@ def _free_cells(positions: Floats, sampling: int, height: int, width: int) -> Fl
     return np.asarray(np.minimum(centers, [width - 1, height - 1]), dtype=np.float32)
 
 
-def _sample(flow: Floats, at: Floats) -> Floats:
+def _sample(flow: Float32Array, at: Float32Array) -> Float32Array:
     u, v = (np.ascontiguousarray(at[:, k, None]) for k in (0, 1))
     if not len(at):
         return np.zeros((0, 2), np.float32)

@@ -13,11 +13,11 @@ from objectflow.alignment import matching
 from objectflow.frame import MAX_MEDIAN_DEPTH, MIN_MEDIAN_DEPTH, RgbdFrame, check_pair
 from objectflow.geometry import torch_pinhole
 from objectflow.methods.base import check_camera_option
-from objectflow.methods.baselines.enlarge import enlarge as to_input
+from objectflow.methods.baselines.enlarge import upsample_guided as to_input
 from objectflow.methods.baselines.pd_flow.linearise import linearise
 from objectflow.methods.baselines.pd_flow.median import weighted_median
 from objectflow.methods.baselines.pd_flow.primal_dual import State, solve
-from objectflow.methods.baselines.pd_flow.pyramid import Images, build_pyramid, enlarge
+from objectflow.methods.baselines.pd_flow.pyramid import Images, build_pyramid, upsample_flow
 from objectflow.motion import SceneMotion
 from objectflow.runtime.devices import find_device
 
@@ -86,8 +86,8 @@ def estimate(first: Images, second: Images) -> Tensor:
         if number:
             # u and v double with the image; the duals go up with the flow.
             scale = total.new_tensor([2, 2, 1])[None, :, None, None]
-            total = scale * enlarge(total)
-            state = State(total, enlarge(state.depth_dual), enlarge(state.smooth_dual))
+            total = scale * upsample_flow(total)
+            state = State(total, upsample_flow(state.depth_dual), upsample_flow(state.smooth_dual))
         level = linearise(a, b, total[:, :2])
         still = torch.cat([torch.zeros_like(total[:, :2]), total[:, 2:]], 1)
         state = solve(level, state._replace(flow=still), ITERATIONS[number])

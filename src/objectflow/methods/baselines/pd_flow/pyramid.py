@@ -37,7 +37,7 @@ def build_pyramid(images: Images, levels: int = LEVELS) -> list[Images]:
     return out
 
 
-def enlarge(values: Tensor) -> Tensor:
+def upsample_flow(values: Tensor) -> Tensor:
     """(B, C, H, W) -> (B, C, 2H, 2W): values go to the even pixels, the binomial mask fills those between."""
     mask = _mask(values)
     # Divided by the weight of what there is: near the border, too, a constant stays what it is.

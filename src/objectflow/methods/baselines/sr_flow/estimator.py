@@ -26,7 +26,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
@@ -41,6 +40,7 @@ from objectflow.methods.baselines.sr_flow.residuals import Weights
 from objectflow.methods.baselines.sr_flow.rigid import apply_rigid, solve_rigid
 from objectflow.motion import SceneMotion
 from objectflow.runtime.devices import find_device
+from objectflow.typing import Float64Array
 
 MODES = ("auto", "non-rigid", "rigid", "semi-rigid")
 
@@ -189,7 +189,7 @@ def _tensors(frame: RgbdFrame, device: torch.device) -> tuple[Tensor, Tensor]:
     return color, torch.from_numpy(frame.depth).to(device)[None, None]
 
 
-def _camera_motion(solution: Solution) -> NDArray[np.float64]:
+def _camera_motion(solution: Solution) -> Float64Array:
     """(4, 4) `prev_T_curr` in metres, about the camera's centre."""
     motion = solution.motion[0].cpu().numpy().copy()
     pivot = solution.pivot[0, :, 0, 0].cpu().numpy().astype(np.float64)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.methods.baselines.vo_sf.pyramid import Level
-
-Floats = NDArray[np.float32]
+from objectflow.typing import BoolMask, Float32Array, LabelImage
 
 COUNT = 24
 """Clusters."""
@@ -36,17 +34,17 @@ class Clusters:
         touching: (24, 24) bool, symmetric, true on the diagonal.
     """
 
-    centers: Floats
-    used: NDArray[np.bool_]
-    touching: NDArray[np.bool_]
+    centers: Float32Array
+    used: BoolMask
+    touching: BoolMask
 
-    def labels(self, points: Floats) -> NDArray[np.int32]:
+    def labels(self, points: Float32Array) -> LabelImage:
         """(..., 3) points, 0 where missing -> (...) int32: the nearest cluster, 24 where depth is missing."""
         flat = points.reshape(-1, 3)
         nearest = np.concatenate([_distance2(flat[i], self.centers, self.used).argmin(-1) for i in _parts(len(flat))])
         return np.where(flat[:, 2] > 0, nearest, COUNT).astype(np.int32).reshape(points.shape[:-1])
 
-    def assign(self, points: Floats) -> tuple[NDArray[np.int32], Floats]:
+    def assign(self, points: Float32Array) -> tuple[LabelImage, Float32Array]:
         """`labels`, and soft labels: (..., 24) float32 that sum to 1, all 0 where depth is missing.
 
         A pixel near the border of its cluster also belongs to the touching clusters, the more the nearer it is to
@@ -84,7 +82,7 @@ def _parts(count: int) -> list[slice]:
     return [slice(at, at + _PART) for at in range(0, max(count, 1), _PART)]
 
 
-def _distance2(points: Floats, centers: Floats, used: NDArray[np.bool_]) -> Floats:
+def _distance2(points: Float32Array, centers: Float32Array, used: BoolMask) -> Float32Array:
     """(N, 3) and (24, 3) -> (N, 24) square metres, infinite for clusters without pixels.
 
     About a common origin amid the points, the products of single precision keep their digits.
@@ -98,7 +96,7 @@ def _distance2(points: Floats, centers: Floats, used: NDArray[np.bool_]) -> Floa
     return np.asarray(out)
 
 
-def _k_means(level: Level) -> tuple[Floats, NDArray[np.bool_]]:
+def _k_means(level: Level) -> tuple[Float32Array, BoolMask]:
     """Lloyd's iterations from seeds on a fixed grid; nothing is random."""
     rows, columns = level.depth.shape
     steps = int(np.ceil(np.sqrt(COUNT)))
@@ -133,7 +131,7 @@ def _k_means(level: Level) -> tuple[Floats, NDArray[np.bool_]]:
     return centers, used
 
 
-def _connectivity(level: Level, labels: NDArray[np.int32]) -> NDArray[np.bool_]:
+def _connectivity(level: Level, labels: LabelImage) -> BoolMask:
     """Clusters touch where adjacent pixels of them are closer than 3.6 m / rows along the image axis and in depth."""
     touching = np.eye(COUNT + 1, dtype=bool)
     limit = (_TOUCH / level.depth.shape[0]) ** 2

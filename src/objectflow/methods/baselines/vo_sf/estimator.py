@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from objectflow import geometry
@@ -18,9 +17,7 @@ from objectflow.methods.baselines.vo_sf.motions import cluster_motions, robust_o
 from objectflow.methods.baselines.vo_sf.pyramid import Level, build_pyramid
 from objectflow.methods.baselines.vo_sf.segment import MOVING, STATIC, segment
 from objectflow.motion import ObjectMotion, SceneMotion
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 _ROWS = 128
 """Image rows whose soft labels are made at a time: large images need little more memory than small ones."""
@@ -77,14 +74,14 @@ class VoSf:
             seconds=time.perf_counter() - start,
         )
 
-    def _camera_motion(self, curr_T_prev: Array, level: Level, static: NDArray[np.bool_]) -> Array | None:
+    def _camera_motion(self, curr_T_prev: Float64Array, level: Level, static: BoolMask) -> Float64Array | None:
         prev_T_curr = geometry.inverse(curr_T_prev)
-        if self.camera == "moving" or (self.camera == "auto" and _stands_out(prev_T_curr, level, static)):
+        if self.camera == "moving" or (self.camera == "auto" and _exceeds_noise(prev_T_curr, level, static)):
             return prev_T_curr
         return None
 
 
-def _paint(clusters: Clusters, prev_T_curr: Array, points: Floats) -> tuple[NDArray[np.int32], Floats]:
+def _paint(clusters: Clusters, prev_T_curr: Float64Array, points: Float32Array) -> tuple[LabelImage, Float32Array]:
     """(24, 4, 4) motions and (H, W, 3) points, NaN where missing -> clusters (H, W) and flow (H, W, 3)."""
     # Displacements, not positions: what does not move has a flow of exactly 0.
     displacement = (prev_T_curr - np.eye(4))[:, :3].reshape(COUNT, 12).astype(np.float32)
@@ -100,8 +97,8 @@ def _paint(clusters: Clusters, prev_T_curr: Array, points: Floats) -> tuple[NDAr
 
 
 def _regions(
-    clusters: Clusters, b: Array, member: NDArray[np.int32], points: Floats, flow: Floats
-) -> tuple[NDArray[np.int32], tuple[ObjectMotion, ...]]:
+    clusters: Clusters, b: Float64Array, member: LabelImage, points: Float32Array, flow: Float32Array
+) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """Moving clusters that touch are one object, whose motion is the rigid one nearest to its flow."""
     moving = b > MOVING
     _, group = connected_components(clusters.touching & moving[:, None] & moving, directed=False)
@@ -128,7 +125,7 @@ def _regions(
     return labels, tuple(objects)
 
 
-def _stands_out(prev_T_curr: Array, level: Level, static: NDArray[np.bool_]) -> bool:
+def _exceeds_noise(prev_T_curr: Float64Array, level: Level, static: BoolMask) -> bool:
     """Whether a motion of the camera shows on static pixels (H, W): in the image, or in depth above its noise."""
     if not static.any():
         return False

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.methods.baselines.vo_sf.pyramid import Level, make_level
-
-Floats = NDArray[np.float32]
+from objectflow.typing import BoolMask, Float32Array
 
 PHOTOMETRIC_WEIGHT = np.float32(0.15)
 """Weight of brightness (0..1) against metres of depth."""
@@ -27,10 +25,10 @@ class Gradients:
         usable: (H, W) bool: both frames have depth, and not on the image border.
     """
 
-    gray: Floats
-    depth: Floats
+    gray: Float32Array
+    depth: Float32Array
     middle: Level
-    usable: NDArray[np.bool_]
+    usable: BoolMask
 
 
 def gradients(first: Level, warped: Level) -> Gradients:
@@ -52,7 +50,9 @@ def gradients(first: Level, warped: Level) -> Gradients:
     )
 
 
-def constraints(level: Gradients, gray_weight: Floats, depth_weight: Floats) -> tuple[Floats, Floats]:
+def constraints(
+    level: Gradients, gray_weight: Float32Array, depth_weight: Float32Array
+) -> tuple[Float32Array, Float32Array]:
     """Rows J and values r of every pixel, to solve `J twist = r` for the motion that takes second to first.
 
     A point that moves by d = v + w x P changes brightness by -grad I . (its pixel's motion), and depth by d_z less
@@ -82,7 +82,7 @@ def constraints(level: Gradients, gray_weight: Floats, depth_weight: Floats) -> 
     return J, r
 
 
-def uncertainty_weights(level: Gradients, trust: Floats) -> tuple[Floats, Floats]:
+def uncertainty_weights(level: Gradients, trust: Float32Array) -> tuple[Float32Array, Float32Array]:
     """(H, W) weights of colour and depth: low where derivatives are large and linearisation bad.
 
     Args:
@@ -97,11 +97,11 @@ def uncertainty_weights(level: Gradients, trust: Floats) -> tuple[Floats, Floats
     return out[0].astype(np.float32), out[1].astype(np.float32)
 
 
-def _slopes(image: Floats, both: NDArray[np.bool_], kind: str) -> tuple[Floats, Floats]:
+def _slopes(image: Float32Array, both: BoolMask, kind: str) -> tuple[Float32Array, Float32Array]:
     return _slope_along_rows(image, both, kind), _slope_along_rows(image.T, both.T, kind).T
 
 
-def _slope_along_rows(image: Floats, both: NDArray[np.bool_], kind: str) -> Floats:
+def _slope_along_rows(image: Float32Array, both: BoolMask, kind: str) -> Float32Array:
     step = np.diff(image, axis=1)
     # Where a pixel has no depth, the difference to its right counts as one.
     size = np.where(both[:, :-1], np.abs(step) + _STEP_FLOOR[kind], np.float32(1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.methods.baselines.vo_sf.clusters import COUNT, Clusters
@@ -12,9 +11,7 @@ from objectflow.methods.baselines.vo_sf.pyramid import Level
 from objectflow.methods.baselines.vo_sf.segment import MOVING, STATIC
 from objectflow.methods.baselines.vo_sf.solve import solve_twist
 from objectflow.methods.baselines.vo_sf.warp import fetch_second, splat_second
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import Float32Array, Float64Array
 
 _WARPS = 3
 _SMALL_TWIST = 0.04
@@ -24,7 +21,7 @@ _BELONGS = 0.2
 """A pixel helps to find the motions of all clusters of which it has a larger soft label."""
 
 
-def robust_odometry(first: list[Level], second: list[Level]) -> Array:
+def robust_odometry(first: list[Level], second: list[Level]) -> Float64Array:
     """The motion that most of the image follows: `first_T_second` (4, 4).
 
     The second frame is thrown onto the first by the motion so far; a strong Cauchy penalty silences what moves.
@@ -43,7 +40,9 @@ def robust_odometry(first: list[Level], second: list[Level]) -> Array:
     return first_T_second
 
 
-def cluster_motions(first: list[Level], second: list[Level], clusters: Clusters, b: Array) -> tuple[Array, Array]:
+def cluster_motions(
+    first: list[Level], second: list[Level], clusters: Clusters, b: Float64Array
+) -> tuple[Float64Array, Float64Array]:
     """The camera's motion from the static clusters, and each moving cluster's own.
 
     Args:
@@ -80,7 +79,7 @@ def cluster_motions(first: list[Level], second: list[Level], clusters: Clusters,
     return camera, own
 
 
-def blend(soft: Floats, second_T_first: Array) -> Floats:
+def blend(soft: Float32Array, second_T_first: Float64Array) -> Float32Array:
     """Soft labels (..., 24) and motions (24, 4, 4) -> (..., 3, 4): each pixel's mean of its clusters' matrices.
 
     A mean of rotations is not quite one; between neighbouring clusters the difference does not count.

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment import matching
 from objectflow.errors import FrameError
 from objectflow.frame import MAX_MEDIAN_DEPTH, MIN_MEDIAN_DEPTH, RgbdFrame
 from objectflow.geometry.camera import Camera
-
-Floats = NDArray[np.float32]
+from objectflow.typing import Float32Array
 
 WIDTH, HEIGHT, LEVELS = 320, 240, 5
 """Pixels of the finest level, and the number of levels: 15x20 at the coarsest."""
@@ -33,17 +31,17 @@ class Level:
         camera: of this resolution.
     """
 
-    gray: Floats
-    points: Floats
+    gray: Float32Array
+    points: Float32Array
     camera: Camera
 
     @property
-    def depth(self) -> Floats:
+    def depth(self) -> Float32Array:
         """(H, W) float32 metres, 0 where missing."""
         return self.points[..., 2]
 
 
-def make_level(gray: Floats, depth: Floats, camera: Camera) -> Level:
+def make_level(gray: Float32Array, depth: Float32Array, camera: Camera) -> Level:
     """Back-project a level's depth; its pixels without depth get the point 0."""
     rays = geometry.pixel_grid(camera)
     points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
@@ -72,7 +70,7 @@ def build_pyramid(frame: RgbdFrame) -> list[Level]:
     return levels
 
 
-def _halve(gray: Floats, depth: Floats) -> tuple[Floats, Floats]:
+def _halve(gray: Float32Array, depth: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Halve both images: a 4x4 binomial-like mask, its weights falling with the distance in depth.
 
     A block's own depth is the second largest of its central four, so that one stray value cannot set it. On the image
@@ -81,7 +79,7 @@ def _halve(gray: Floats, depth: Floats) -> tuple[Floats, Floats]:
     rows, columns = depth.shape[0] // 2, depth.shape[1] // 2
     padded_gray, padded_depth = np.pad(gray, 1), np.pad(depth, 1)
 
-    def shifted(image: Floats, row: int, column: int) -> Floats:
+    def shifted(image: Float32Array, row: int, column: int) -> Float32Array:
         return image[row : row + 2 * rows : 2, column : column + 2 * columns : 2]
 
     a, b, c, d = (shifted(padded_depth, i, j) for i in (1, 2) for j in (1, 2))

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.methods.baselines.vo_sf.clusters import COUNT, Clusters
 from objectflow.methods.baselines.vo_sf.linearise import PHOTOMETRIC_WEIGHT
 from objectflow.methods.baselines.vo_sf.pyramid import Level
 from objectflow.methods.baselines.vo_sf.warp import splat_second
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 MOVING, STATIC = 0.667, 0.333
 """A cluster with b above the first moves, with b below the second is static; between them it is treated as both."""
@@ -24,8 +21,8 @@ _SMOOTH, _DEPTH_PRIOR = 0.5, 0.15
 
 
 def segment(
-    first: Level, second: Level, clusters: Clusters, labels: NDArray[np.int32], first_T_second: Array
-) -> Array:
+    first: Level, second: Level, clusters: Clusters, labels: LabelImage, first_T_second: Float64Array
+) -> Float64Array:
     """How much each cluster moves, given the camera's motion.
 
     Args:
@@ -42,7 +39,7 @@ def segment(
     return solve_labels(residuals, speed, clusters)
 
 
-def _residuals(first: Level, warped: Level, clusters: Clusters, labels: NDArray[np.int32]) -> Array:
+def _residuals(first: Level, warped: Level, clusters: Clusters, labels: LabelImage) -> Float64Array:
     """(24,) mean truncated residuals: brightness times its weight plus depth relative to the cluster's depth."""
     depth = first.depth
     bumps = np.full(depth.shape, np.inf, np.float32)
@@ -65,7 +62,7 @@ def _residuals(first: Level, warped: Level, clusters: Clusters, labels: NDArray[
     return np.asarray(np.where(clusters.used, PHOTOMETRIC_WEIGHT * mean_gray + mean_depth / distance, 0.0))
 
 
-def solve_labels(residuals: Array, speed: float, clusters: Clusters) -> Array:
+def solve_labels(residuals: Float64Array, speed: float, clusters: Clusters) -> Float64Array:
     """The (24,) b of (24,) residuals: near what the residual says, alike where clusters touch, static where far.
 
     Linear least squares; `speed` is the length of the camera's twist (m, rad), which raises the limits.

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import Float32Array, Float64Array
 
 _ITERATIONS = 10
 _CHI2_RATIO = 0.98
@@ -17,7 +15,9 @@ _FEWEST = 6
 """Pixels: fewer say nothing about a motion."""
 
 
-def solve_twist(J: Floats, r: Floats, repeats: Floats | None, cauchy: float, *, plain_start: bool) -> Array:
+def solve_twist(
+    J: Float32Array, r: Float32Array, repeats: Float32Array | None, cauchy: float, *, plain_start: bool
+) -> Float64Array:
     """The twist (6,) that minimises the Cauchy penalty of `J twist - r`.
 
     Args:
@@ -33,7 +33,7 @@ def solve_twist(J: Floats, r: Floats, repeats: Floats | None, cauchy: float, *, 
     if len(J) < _FEWEST:
         return np.zeros(6)
     A, b = J.reshape(-1, 6), r.reshape(-1)
-    times: Floats = np.ones(len(b), np.float32) if repeats is None else np.repeat(repeats, 2).astype(np.float32)
+    times: Float32Array = np.ones(len(b), np.float32) if repeats is None else np.repeat(repeats, 2).astype(np.float32)
     twist = _least_squares(A, b, times) if plain_start else np.zeros(6)
     last = np.inf
     for _ in range(_ITERATIONS):
@@ -49,7 +49,7 @@ def solve_twist(J: Floats, r: Floats, repeats: Floats | None, cauchy: float, *, 
     return twist
 
 
-def _least_squares(A: Floats, b: Floats, weights: Floats) -> Array:
+def _least_squares(A: Float32Array, b: Float32Array, weights: Float32Array) -> Float64Array:
     # By the normal equations, as 6x6 is quick; the pseudo-inverse leaves undetermined directions at rest.
     weighted = A * weights[:, None]
     normal, right = (weighted.T @ A).astype(np.float64), (weighted.T @ b).astype(np.float64)

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow.methods.baselines.vo_sf.pyramid import Level, make_level
-
-Floats = NDArray[np.float32]
-Array = NDArray[np.float64]
+from objectflow.typing import Float32Array, Float64Array
 
 _ON_PIXEL = 0.05
 """Pixels: a point that lands this near to a pixel's centre goes there alone."""
@@ -16,7 +13,7 @@ _EDGE = 0.3
 """Metres: across a step in depth of this size nothing is interpolated."""
 
 
-def splat_second(second: Level, first_T_second: Array) -> Level:
+def splat_second(second: Level, first_T_second: Float64Array) -> Level:
     """Move the second frame's points by one motion and average what lands on each pixel: `Level` with holes.
 
     Averages where nearer and further points land together; their share is that of the paper's program, squared
@@ -46,14 +43,14 @@ def splat_second(second: Level, first_T_second: Array) -> Level:
     hit = total > 0
     safe = np.where(hit, total, 1)
 
-    def average(values: Floats) -> Floats:
+    def average(values: Float32Array) -> Float32Array:
         mean = np.bincount(target, weight * np.tile(values, 4), rows * columns) / safe
         return mean.reshape(rows, columns).astype(np.float32)
 
     return make_level(average(gray), average(z), camera)
 
 
-def fetch_second(second: Level, first: Level, second_T_first: Floats) -> Level:
+def fetch_second(second: Level, first: Level, second_T_first: Float32Array) -> Level:
     """Sample the second frame where the first frame's points go, each by its own motion.
 
     Args:
@@ -88,6 +85,6 @@ def fetch_second(second: Level, first: Level, second_T_first: Floats) -> Level:
     return make_level(np.where(hit, gray, 0).astype(np.float32), np.maximum(depth, 0).astype(np.float32), camera)
 
 
-def _move(a_T_b: Array, points: Floats) -> Floats:
+def _move(a_T_b: Float64Array, points: Float32Array) -> Float32Array:
     T = a_T_b.astype(np.float32)
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])

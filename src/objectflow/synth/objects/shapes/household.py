@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from objectflow.synth.objects.shapes.groups import NONE, Group, X, cube, dihedral, spin
 from objectflow.synth.objects.shapes.outline import circle, fluted, rectangle, rounded, superellipse
 from objectflow.synth.objects.shapes.solid import Solid, join, loft
 from objectflow.synth.objects.shapes.sweep import chain, plate, tube
 from objectflow.synth.objects.shapes.turn import turned, vessel
+from objectflow.typing import Float64Array
 
-Array = NDArray[np.float64]
 Shape = tuple[Solid, Group]
 
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -139,7 +138,7 @@ def lamp(rng: Generator) -> Shape:
     return join([stand, shade.moved((0, 0, H), UPSIDE_DOWN)]), spin(0 if kind == 0 else 4)
 
 
-def _dome(R: float, H: float, t: float, section: Array, flare: float = 0.0) -> Solid:
+def _dome(R: float, H: float, t: float, section: Float64Array, flare: float = 0.0) -> Solid:
     """Half a shell, open below, its rim at z = 0."""
     angle = np.linspace(0.25, np.pi / 2, 9)
     curve = np.stack([R * np.sin(angle), H * (1 - np.cos(angle))], axis=1)
@@ -270,7 +269,7 @@ def candle(rng: Generator) -> Shape:
         lobes, rate = int(rng.choice([4, 6])), rng.uniform(4, 9)
         outline = fluted(48, lobes, 0.09)
 
-        def section(z: float) -> Array:
+        def section(z: float) -> Float64Array:
             c, s = np.cos(rate * z / H), np.sin(rate * z / H)
             return np.asarray(outline @ np.array([[c, s], [-s, c]]))
 

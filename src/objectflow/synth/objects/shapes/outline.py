@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 
-def circle(sides: int = 40) -> Array:
+def circle(sides: int = 40) -> Float64Array:
     """(sides, 2) unit circle, counter-clockwise from +x."""
     return superellipse(sides, 2.0)
 
 
-def superellipse(sides: int, exponent: float, aspect: float = 1.0) -> Array:
+def superellipse(sides: int, exponent: float, aspect: float = 1.0) -> Float64Array:
     """(sides, 2) curve |x|^p + |y / aspect|^p = 1: 2 is an ellipse, larger is squarer. Points at equal angles."""
     angle = 2 * np.pi * np.arange(sides) / sides
     c, s = np.cos(angle), np.sin(angle)
@@ -23,13 +23,13 @@ def superellipse(sides: int, exponent: float, aspect: float = 1.0) -> Array:
     return np.stack([r * c, r * s * aspect], axis=1)
 
 
-def fluted(sides: int, lobes: int, depth: float) -> Array:
+def fluted(sides: int, lobes: int, depth: float) -> Float64Array:
     """(sides, 2) circle of mean radius 1 with `lobes` waves of amplitude `depth`; `sides` a multiple of `lobes`."""
     angle = 2 * np.pi * np.arange(sides) / sides
     return (1 + depth * np.cos(lobes * angle))[:, None] * circle(sides)
 
 
-def polygon(corners: int, per_side: int = 1) -> Array:
+def polygon(corners: int, per_side: int = 1) -> Float64Array:
     """(corners * per_side, 2) regular polygon with its corners on the unit circle, one of them on +x."""
     angle = 2 * np.pi * np.arange(corners) / corners
     points = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -37,7 +37,7 @@ def polygon(corners: int, per_side: int = 1) -> Array:
     return np.concatenate([p + share * (q - p) for p, q in zip(points, np.roll(points, -1, axis=0), strict=True)])
 
 
-def rectangle(width: float, depth: float, corner: float = 0.0, steps: int = 4) -> Array:
+def rectangle(width: float, depth: float, corner: float = 0.0, steps: int = 4) -> Float64Array:
     """Rectangle centred on the origin, its corners rounded by quarter circles of radius `corner`. Metres.
 
     Returns (4, 2), or (4 * (steps + 1), 2) when rounded; the points begin at the middle of no side, so that a
@@ -51,7 +51,7 @@ def rectangle(width: float, depth: float, corner: float = 0.0, steps: int = 4) -
     return np.asarray((centers[:, None] + corner * np.stack([np.cos(angle), np.sin(angle)], axis=-1)).reshape(-1, 2))
 
 
-def rounded(points: ArrayLike, radii: float | Sequence[float], steps: int = 3) -> Array:
+def rounded(points: ArrayLike, radii: float | Sequence[float], steps: int = 3) -> Float64Array:
     """(N, D) polyline -> the same with its inner corners replaced by quadratic curves.
 
     Args:
@@ -75,7 +75,7 @@ def rounded(points: ArrayLike, radii: float | Sequence[float], steps: int = 3) -
     return np.concatenate(out)
 
 
-def offset_inwards(profile: Array, distance: float) -> Array:
+def offset_inwards(profile: Float64Array, distance: float) -> Float64Array:
     """Shift each point of a profile (N, 2), which runs up the outside, by `distance` to its left: the inside wall."""
     direction = np.diff(profile, axis=0)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -87,7 +87,7 @@ def offset_inwards(profile: Array, distance: float) -> Array:
     return np.asarray(profile + distance * stretch[:, None] * bisector)
 
 
-def inset(outline: Array, distance: float) -> Array:
+def inset(outline: Float64Array, distance: float) -> Float64Array:
     """Shift every side of a convex, counter-clockwise outline (K, 2) inwards by `distance` metres."""
     sides = np.roll(outline, -1, axis=0) - outline
     after = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.linalg.norm(sides, axis=1, keepdims=True)

@@ -6,22 +6,22 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array, LabelImage
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
     """One or several closed surfaces and the convex hulls that stand in for them in collisions. Metres."""
 
-    vertices: Array
+    vertices: Float64Array
     """(V, 3)."""
-    faces: NDArray[np.int32]
+    faces: LabelImage
     """(F, 3), counter-clockwise from outside."""
-    uv: Array
+    uv: Float64Array
     """(V, 2) in [0, 1]."""
-    parts: tuple[Array, ...]
+    parts: tuple[Float64Array, ...]
     """Each (P, 3): points whose convex hull is one part."""
 
     def moved(self, offset: ArrayLike = (0, 0, 0), rotation: ArrayLike | None = None) -> Solid:
@@ -44,8 +44,8 @@ def join(solids: Iterable[Solid]) -> Solid:
 
 
 def loft(
-    rings: Array,
-    parts: Iterable[Array],
+    rings: Float64Array,
+    parts: Iterable[Float64Array],
     start_tip: ArrayLike | None = None,
     end_tip: ArrayLike | None = None,
     closed: bool = False,
@@ -87,20 +87,20 @@ def loft(
     return Solid(points, triangles, uv, tuple(parts))
 
 
-def signed_volume(vertices: Array, faces: NDArray[np.int32]) -> float:
+def signed_volume(vertices: Float64Array, faces: LabelImage) -> float:
     """Cubic metres enclosed by a closed surface; negative when it is inside out."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def surface_center(vertices: Array, faces: NDArray[np.int32]) -> Array:
+def surface_center(vertices: Float64Array, faces: LabelImage) -> Float64Array:
     """(3,) the centroid of the surface. Every rotation axis of the surface runs through it, open or closed."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return np.asarray((area[:, None] * (a + b + c)).sum(axis=0) / (3 * area.sum()))
 
 
-def _fractions(line: Array) -> Array:
+def _fractions(line: Float64Array) -> Float64Array:
     """(N, 3) polyline -> (N,) share of its length covered at each point."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
     total = steps.sum()
@@ -108,7 +108,7 @@ def _fractions(line: Array) -> Array:
     return covered / total if total > 0 else np.linspace(0, 1, len(line))
 
 
-def _disc_uv(ring: Array, center: Array, sense: int) -> Array:
+def _disc_uv(ring: Float64Array, center: Float64Array, sense: int) -> Float64Array:
     """A flat picture of a fan, upright along its longest side: (K + 1, 2), its centre last.
 
     `sense` is 1 where the ring runs counter-clockwise seen from outside, -1 otherwise.

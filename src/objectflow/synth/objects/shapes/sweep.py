@@ -5,18 +5,17 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from objectflow.synth.objects.shapes.outline import circle, inset
 from objectflow.synth.objects.shapes.solid import Solid, loft
-
-Array = NDArray[np.float64]
+from objectflow.typing import Float64Array
 
 
 def tube(
     path: ArrayLike,
     radius: float | ArrayLike,
-    section: Array | None = None,
+    section: Float64Array | None = None,
     up: ArrayLike = (0, 0, 1),
     parts: int = 4,
 ) -> Solid:
@@ -41,13 +40,13 @@ def tube(
     return loft(rings, chain(rings, parts))
 
 
-def chain(rings: Array, parts: int) -> list[Array]:
+def chain(rings: Float64Array, parts: int) -> list[Float64Array]:
     """Convex parts of a row of rings (M, K, 3): `parts` runs that share their end rings."""
     cuts = np.unique(np.linspace(0, len(rings) - 1, parts + 1).round().astype(int))
     return [rings[start : stop + 1].reshape(-1, 3) for start, stop in itertools.pairwise(cuts)]
 
 
-def plate(outline: Array, height: float, bevel: float = 0.0, parts: list[Array] | None = None) -> Solid:
+def plate(outline: Float64Array, height: float, bevel: float = 0.0, parts: list[Float64Array] | None = None) -> Solid:
     """An outline (K, 2) in metres, star-shaped about its mean, raised from z = 0 to `height`.
 
     The edges at both ends are cut by `bevel` metres. `parts` are outlines (P, 2) whose hulls cover a shape that is
@@ -66,7 +65,7 @@ def plate(outline: Array, height: float, bevel: float = 0.0, parts: list[Array] 
     return loft(rings, hulls)
 
 
-def hoop(inside: Array, outside: Array, height: float, wedges: int, bulge: int = 1) -> Solid:
+def hoop(inside: Float64Array, outside: Float64Array, height: float, wedges: int, bulge: int = 1) -> Solid:
     """A closed ring between two outlines of one point count, symmetric about the plane z = 0.
 
     Args:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from objectflow.synth.objects.shapes.groups import NONE, Group, dihedral, spin
 from objectflow.synth.objects.shapes.outline import circle, fluted, polygon, rounded, superellipse
 from objectflow.synth.objects.shapes.solid import Solid, join
 from objectflow.synth.objects.shapes.sweep import tube
 from objectflow.synth.objects.shapes.turn import turned, vessel
+from objectflow.typing import Float64Array
 
-Array = NDArray[np.float64]
 Shape = tuple[Solid, Group]
 
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])
@@ -34,14 +33,14 @@ def bottle(rng: Generator) -> Shape:
         return turned(curve), spin(0)
     body = superellipse(40, 6.0) if kind == 1 else superellipse(40, 2.6, 0.55)
 
-    def section(z: float) -> Array:
+    def section(z: float) -> Float64Array:
         roundness = float(np.clip((z - shoulder) / (throat - shoulder), 0, 1))
         return (1 - roundness) * body + roundness * circle(40)
 
     return turned(curve, section), spin(4 if kind == 1 else 2)
 
 
-def _bowl_curve(foot: float, R: float, H: float, points: int = 9) -> Array:
+def _bowl_curve(foot: float, R: float, H: float, points: int = 9) -> Float64Array:
     """(N, 2) outside of a bowl: a foot, then a quarter of an ellipse up to the rim."""
     t = np.linspace(0, np.pi / 2, points)
     return np.concatenate([[[0, 0]], np.stack([foot + (R - foot) * np.sin(t), H * (1 - np.cos(t))], axis=1)])
@@ -77,7 +76,7 @@ def can(rng: Generator) -> Shape:
     return turned(curve, hull_profile=[(0, 0), *outside, (0, H)]), spin(0)
 
 
-def _ear(wall: Array, heights: tuple[float, float], reach: float, radius: float, parts: int = 5) -> Solid:
+def _ear(wall: Float64Array, heights: tuple[float, float], reach: float, radius: float, parts: int = 5) -> Solid:
     """A handle in the x-z plane between two heights of a wall, given as its (r, z) points going up."""
     angle = np.linspace(np.pi / 2, -np.pi / 2, 13)
     bend = np.sign(np.cos(angle)) * np.abs(np.cos(angle)) ** 0.7

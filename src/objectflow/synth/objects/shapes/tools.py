@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.synth.objects.shapes.groups import NONE, Group, cube, dihedral, spin
@@ -13,7 +12,6 @@ from objectflow.synth.objects.shapes.solid import Solid, join, loft
 from objectflow.synth.objects.shapes.sweep import chain, hoop, plate, tube
 from objectflow.synth.objects.shapes.turn import turned, vessel
 
-Array = NDArray[np.float64]
 Shape = tuple[Solid, Group]
 
 TO_X = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from objectflow.synth.objects.shapes.outline import circle, offset_inwards
 from objectflow.synth.objects.shapes.solid import Solid, loft
+from objectflow.typing import Float64Array
 
-Array = NDArray[np.float64]
-Section = Array | Callable[[float], Array]
+Section = Float64Array | Callable[[float], Float64Array]
 """A (K, 2) outline of about unit radius that the profile's radius scales; or one for each height z."""
 
 _THICK_FLOOR = 0.006
@@ -78,7 +78,7 @@ def vessel(
     return loft(_rings(whole, section), parts, (0, 0, p[0, 1]), (0, 0, inner[0, 1]))
 
 
-def _rings(profile: Array, section: Section | None) -> Array:
+def _rings(profile: Float64Array, section: Section | None) -> Float64Array:
     """(N, 2) profile -> (N, K, 3) rings."""
     if section is None:
         section = circle()
@@ -88,14 +88,14 @@ def _rings(profile: Array, section: Section | None) -> Array:
     return np.concatenate([flat, z], axis=-1)
 
 
-def _thinned(rings: Array) -> Array:
+def _thinned(rings: Float64Array) -> Float64Array:
     """Fewer points around, for the physics: at most `_HULL_SIDES` where the count divides, all of them elsewhere."""
     sides = rings.shape[-2]
     keep = sides // _HULL_SIDES if sides % _HULL_SIDES == 0 else max(sides // 24, 1) if sides % 24 == 0 else 1
     return rings[..., :: max(keep, 1), :]
 
 
-def _convex_runs(profile: Array) -> list[slice]:
+def _convex_runs(profile: Float64Array) -> list[slice]:
     """Cut a profile r(z) into runs that are convex solids to within `_HULL_ERROR`; neighbours share a ring."""
     runs, start = [], 0
     last = len(profile) - 1
@@ -117,7 +117,7 @@ def _convex_runs(profile: Array) -> list[slice]:
     return [run for run in runs if np.ptp(profile[run, 1]) > 1e-9] or [slice(0, last + 1)]
 
 
-def _few(profile: Array, run: slice) -> list[int]:
+def _few(profile: Float64Array, run: slice) -> list[int]:
     """Indices of a run that keep its shape to half a millimetre (Douglas and Peucker 1973): smaller hulls."""
     todo, keep = [(run.start, run.stop - 1)], {run.start, run.stop - 1}
     while todo:
@@ -132,13 +132,13 @@ def _few(profile: Array, run: slice) -> list[int]:
     return sorted(keep)
 
 
-def _turn(p: Array) -> float:
+def _turn(p: Float64Array) -> float:
     """Positive where three points of (r, z), going up, leave the middle one inside their hull."""
     (r0, z0), (r1, z1), (r2, z2) = p
     return float((r2 - r0) * (z1 - z0) - (r1 - r0) * (z2 - z0))
 
 
-def _wall_runs(outer: Array, inner: Array, levels: int) -> list[tuple[int, int]]:
+def _wall_runs(outer: Float64Array, inner: Float64Array, levels: int) -> list[tuple[int, int]]:
     """Index ranges (both ends included) of the wall's levels, cut so that their hulls add the least area."""
     last = len(outer) - 1
     if levels == 1 or last < 2:
@@ -148,6 +148,6 @@ def _wall_runs(outer: Array, inner: Array, levels: int) -> list[tuple[int, int]]
     return [(0, cut), (cut, last)]
 
 
-def _hull_area(outer: Array, inner: Array, start: int, stop: int) -> float:
+def _hull_area(outer: Float64Array, inner: Float64Array, start: int, stop: int) -> float:
     span = slice(start, stop + 1)
     return float(ConvexHull(np.concatenate([outer[span], inner[span]])).volume)
