@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers import training_runs
+from helpers.paths import HELPERS_ON_PATH
 from helpers.training_runs import NETWORK, PLAIN, RECIPE, job, write_set
 from objectflow.dataset.batches import Batches
 from objectflow.dataset.manifest import Manifest
@@ -145,9 +145,12 @@ def test_two_processes_train_as_one(data: Path, tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    script = [sys.executable, training_runs.__file__, "together", str(data), str(tmp_path / "two")]
+    script = [sys.executable, "-m", "helpers.training_runs", "together", str(data), str(tmp_path / "two")]
     place = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "OMP_NUM_THREADS": "1"}
-    processes = [subprocess.Popen(script, env={**os.environ, **place, "RANK": str(rank)}) for rank in range(2)]
+    processes = [
+        subprocess.Popen(script, env={**os.environ, **HELPERS_ON_PATH, **place, "RANK": str(rank)})
+        for rank in range(2)
+    ]
     assert [process.wait(timeout=120) for process in processes] == [0, 0]
     one, two = lines_of(tmp_path / "one", "train"), lines_of(tmp_path / "two", "train")
     for left, right in zip(one, two, strict=True):

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers import training_runs
+from helpers.paths import HELPERS_ON_PATH
 from helpers.training_runs import RECIPE, job, tensors_of, write_set
 from objectflow.errors import TrainingError
 from objectflow.training.callbacks import Callback
@@ -83,8 +83,8 @@ def test_interrupt_ends_a_run_politely_too(data: Path, tmp_path: Path) -> None:
 
 def test_killed_at_any_moment_and_resumed(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
-    script = [sys.executable, training_runs.__file__, "killed", str(data), str(out)]
-    process = subprocess.Popen(script, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    script = [sys.executable, "-m", "helpers.training_runs", "killed", str(data), str(out)]
+    process = subprocess.Popen(script, env={**os.environ, **HELPERS_ON_PATH, "OMP_NUM_THREADS": "1"})
     rng = np.random.default_rng(time.time_ns() % 2**32)  # any moment will do
     lines, wait = int(rng.integers(1, 12)), float(rng.uniform(0, 0.05))
     metrics, deadline = out / "metrics.jsonl", time.monotonic() + 100

@@ -63,8 +63,8 @@ def motion_cost(
         blind: cost of what the previous frame does not show, in place of `COST_HIDDEN` and `COST_UNSEEN`.
 
     Returns:
-        Both of the box' size. (h, w) float32; 0 is perfect, `COST_FREE_SPACE_VIOLATION` is ruled out; pixels without depth get
-        `COST_UNSEEN` or `blind`.
+        Both of the size of the box. (h, w) float32: 0 is a perfect fit, `COST_FREE_SPACE_VIOLATION` an impossible one;
+        pixels without depth get `COST_UNSEEN` or `blind`.
         (h, w) bool: the pixel would have been hidden behind something.
     """
     camera = prev.camera

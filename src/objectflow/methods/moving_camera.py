@@ -1,7 +1,7 @@
 """A moving camera for methods that are made for a still one.
 
 The background's motion is estimated first; the previous frame is rendered as the current camera would have seen it,
-the method appearance at two frames of one still camera, and its motions are carried back to where the camera really was.
+the method is given two frames of one static camera, and its motions are carried back to where the camera really was.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ DEFAULT_METHOD = "rigidmatch"
 class MethodEntry(NamedTuple):
     """Where a method lives; its class is a dataclass whose fields are the options of `load`.
 
-    `assumes_static_camera`: it is made for a camera that stands still; for one that moves, `load` wraps it in `MovingCamera`.
+    `assumes_static_camera`: the method assumes a static camera; for a moving one, `load` wraps it in `MovingCamera`.
     """
 
     summary: str

@@ -32,9 +32,9 @@ def export_onnx(
     """Write a network for frames of one size, whole or not at all.
 
     The graph has the four inputs of `SceneFlowNet.forward` (1, 3, H, W), NaN where depth is missing, and the six maps
-    of `SceneFlowNetOutput` as outputs, all by name; for a `RigidMatch` those of `ExportableRigidMatch`, since a graph has no singular
-    value decomposition. Its metadata holds, as JSON under "objectflow", the network's settings, the size and
-    `metadata`.
+    of `SceneFlowNetOutput` as outputs, all by name; for a `RigidMatch` those of `ExportableRigidMatch`, since ONNX has
+    no singular value decomposition. The graph's metadata holds, as JSON under "objectflow", the network's settings,
+    the size and `metadata`.
 
     Args:
         path: of the file; one that exists is replaced.

@@ -99,8 +99,9 @@ def sceneflownet_losses(
         matches: (B, 2, H, W) from `previous_pixels`, likewise.
 
     Returns:
-        Scalars without gradient, unweighted, named as the weights of `SceneFlowNetLossSettings` (without "variance" and
-        "violation" where `vl` is off); and "total", weighted, with gradient. All finite where no pixel is foreground.
+        Scalars without gradient, unweighted, named as the weights of `SceneFlowNetLossSettings` (without "variance"
+        and "violation" where `vl` is off); and "total", weighted, with gradient. All are finite where no pixel is
+        foreground.
     """
     settings = settings or SceneFlowNetLossSettings()
     with torch.autocast(points.device.type, enabled=False):

@@ -253,8 +253,7 @@ def test_weights_bring_the_options_that_they_were_trained_with(tmp_path: Path) -
 def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
     """Trained with rotation in the trajectory: losses, B and, by the header, the grouping."""
     pytest.importorskip("pyarrow")
-    from training_runs import RECIPE, job, write_set
-
+    from helpers.training_runs import RECIPE, job, write_set
     from objectflow.training.loop import train
 
     loss = dataclasses.replace(RECIPE.loss, rotation_weight=0.05)

@@ -96,7 +96,7 @@ def test_ray_gives_the_bytes_of_one(tmp_path: Path, pool: Pool, monkeypatch: pyt
     pytest.importorskip("ray", reason="Ray is not installed (pip install objectflow[ray])")
     from objectflow.runtime.ray_pool import RayActors
 
-    monkeypatch.setenv("PYTHONPATH", str(SCRIPT.parent))  # the actors must find the fake scenes
+    monkeypatch.setenv("PYTHONPATH", str(SCRIPT.parents[1]))  # the actors must find the fake scenes
     run(tmp_path / "one", pool)
     actors = RayActors(FakeScenes(delay=0.002), "local", 2)
     try:

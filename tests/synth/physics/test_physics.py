@@ -28,11 +28,11 @@ from objectflow.synth.scenes.paper_scene import (
     draw_scene_and_models,
 )
 from objectflow.synth.scenes.textures import TextureSpec
+from objectflow.typing import Float64Array
 
 mujoco = pytest.importorskip("mujoco", reason="physics needs the extra [synth]")
 
 from objectflow.synth.physics.mjcf import build_model  # noqa: E402
-from objectflow.typing import Float64Array
 
 ENGINES = ("mujoco", "bullet")
 DENSITY = 500.0

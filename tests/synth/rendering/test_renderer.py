@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
+from objectflow.typing import Float64Array, UInt8Array
 
 mujoco = pytest.importorskip("mujoco", reason="rendering needs the extra [synth]")
 pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
@@ -21,7 +22,6 @@ pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
 from objectflow.synth.objects.procedural import open_library  # noqa: E402
 from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays  # noqa: E402
 from objectflow.synth.rendering.renderer import Renderer  # noqa: E402
-from objectflow.typing import Float64Array, UInt8Array
 
 WIDTH, HEIGHT = 96, 72
 AMBIENT, DIFFUSE = 0.25, 0.5

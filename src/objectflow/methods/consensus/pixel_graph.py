@@ -110,7 +110,8 @@ class PixelGraph:
     def _contested(self, pull: Float64Array, right: Float64Array) -> BoolMask:
         """(h w,) bool: blocks that any motion but the first may claim, and their surroundings.
 
-        Ties of `_EDGE_WEIGHT` carry an opinion over about sqrt(30) pixels; beyond eight, the background has nobody to ask.
+        Edges of `_EDGE_WEIGHT` carry label information over about sqrt(30) pixels; blocks more than eight pixels away
+        from every claim receive none and stay background.
         """
         height, width = self.shape
         claim = (right[:, 1:].max(axis=1, initial=0) > 1e-3 * pull).astype(np.float64)

@@ -1,7 +1,7 @@
 """What moves though the network saw no object there: sought as `consensus` seeks it, among the pixels left over.
 
 A network knows what it was trained on. That something moved the frames tell themselves: a surface hangs where nothing
-was, or appearance like another one.
+was, or looks different from what was there.
 """
 
 from __future__ import annotations

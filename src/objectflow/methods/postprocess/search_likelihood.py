@@ -30,7 +30,7 @@ class SearchLikelihood:
         camera: of the previous frame at that width.
         prev_points: (H, W, 3) float32 metres of the previous frame; NaN without depth.
         prev_appearance, curr_appearance: (H, W, 3) float32 CIELAB, blurred, lightness weighed down.
-        changed: (H, W) bool: the previous pixel appearance or lies different now.
+        changed: (H, W) bool: colour or depth of the pixel changed.
     """
 
     def __init__(self, prev: RgbdFrame, curr: RgbdFrame) -> None:
@@ -56,8 +56,9 @@ class SearchLikelihood:
     ) -> Float32Array:
         """The mean cost of the points under each motion.
 
-        Each point looks at one pixel: squared distance in depth up to 4.5, like `consensus.cost.motion_cost`, and
-        squared distance in colour up to 2; `COST_FREE_SPACE_VIOLATION` in front of what was seen, `COST_OUT_OF_VIEW` where nothing is seen.
+        Each point is compared with one pixel: squared distance in depth up to 4.5, like
+        `alignment.likelihood.motion_cost`, and squared distance in colour up to 2. A point in front of the measured
+        surface costs `COST_FREE_SPACE_VIOLATION`, one without a measurement `COST_OUT_OF_VIEW`.
 
         Args:
             rotations, translations: (K, 3, 3) and (K, 3): P_prev = rotation P_curr + translation.

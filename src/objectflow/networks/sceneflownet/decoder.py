@@ -93,7 +93,7 @@ def _layers(widths: Sequence[int]) -> nn.Sequential:
 
 
 class Heads(nn.Module):
-    """One 3x3 linear layer for each map: (B, inputs, H, W) -> `SceneFlowNetOutput`, whose centre is an offset still."""
+    """One 3x3 linear layer a map: (B, inputs, H, W) -> `SceneFlowNetOutput`, its centre still an offset."""
 
     CHANNELS = SceneFlowNetOutput(rotation=3, translation=3, center=3, mask=2, centrality=2, radius=1)  # type: ignore[arg-type]
 
