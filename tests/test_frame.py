@@ -1,4 +1,4 @@
-"""Every check at the door, and cameras and frames of other sizes that see the same points."""
+"""Checks of cameras and frames, and the geometry of other resolutions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def frame(**changes: Any) -> RgbdFrame:
 # --- Camera ---
 
 
-def test_a_camera_keeps_plain_numbers() -> None:
+def test_a_camera_stores_plain_numbers() -> None:
     camera = Camera(*[np.float32(v) for v in (16, 12, 20, 21, 7, 5)])  # type: ignore[arg-type]
     assert camera == CAMERA
     assert [type(v) for v in camera.to_dict().values()] == [int, int, float, float, float, float]
@@ -60,7 +60,7 @@ def test_a_camera_keeps_plain_numbers() -> None:
         ({"fy": 615.0}, "in pixels"),
     ],
 )
-def test_a_camera_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_impossible_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(CameraError, match=message):
         Camera(**(VALUES | changes))
 
@@ -73,10 +73,10 @@ def points_in_view(count: int = 50) -> Float64Array:
 
 @given(st.integers(1, 64), st.integers(1, 64))
 @settings(derandomize=True, deadline=None, max_examples=40, database=None)
-def test_a_scaled_camera_sees_the_same_points_at_the_same_share_of_the_image(width: int, height: int) -> None:
+def test_a_scaled_camera_projects_points_to_the_same_relative_positions(width: int, height: int) -> None:
     before = geometry.project(points_in_view(), CAMERA)
     after = geometry.project(points_in_view(), CAMERA.scaled(width, height))
-    # Shares of the image are measured from its corner, half a pixel before the first centre.
+    # Relative positions are measured from the corner of the image, half a pixel before the first centre.
     np.testing.assert_allclose((after + 0.5) / [width, height], (before + 0.5) / [16, 12], atol=1e-12)
 
 
@@ -87,7 +87,7 @@ def test_scaling_keeps_a_principal_point_on_the_border_inside(width: int, scaled
     assert camera.scaled(scaled, scaled).cx == scaled - 0.5
 
 
-def test_a_cropped_camera_sees_the_same_points_moved() -> None:
+def test_a_cropped_camera_shifts_projections() -> None:
     before = geometry.project(points_in_view(), CAMERA)
     after = geometry.project(points_in_view(), CAMERA.cropped(2, 3, 10, 8))
     np.testing.assert_allclose(after, before - [2, 3], atol=1e-12)
@@ -104,7 +104,7 @@ def test_a_cropped_camera_sees_the_same_points_moved() -> None:
         ((2, 2, 0, 5), "whole and positive"),
     ],
 )
-def test_a_crop_that_cannot_be_is_refused(crop: tuple[int, int, int, int], message: str) -> None:
+def test_impossible_crops_are_refused(crop: tuple[int, int, int, int], message: str) -> None:
     with pytest.raises(CameraError, match=message):
         CAMERA.cropped(*crop)
 
@@ -133,7 +133,7 @@ def test_camera_files_are_read_with_their_depth_scale(tmp_path: Path) -> None:
         (json.dumps(VALUES | {"depth_scale": [1]}).encode(), FrameError, "depth_scale must be a number"),
     ],
 )
-def test_camera_files_that_are_none_are_refused(
+def test_invalid_camera_files_are_refused(
     tmp_path: Path, content: bytes, error: type[Exception], message: str
 ) -> None:
     path = tmp_path / "camera.json"
@@ -144,7 +144,7 @@ def test_camera_files_that_are_none_are_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_camera_files_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
+def test_camera_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     with pytest.raises(ReaderError, match=r"nowhere\.json: no such camera file"):
         Camera.read(tmp_path / "nowhere.json")
     with pytest.raises(ReaderError, match="cannot be read"):
@@ -154,7 +154,7 @@ def test_camera_files_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
 # --- RgbdFrame ---
 
 
-def test_a_frame_keeps_its_arrays_as_they_are() -> None:
+def test_a_frame_keeps_its_arrays() -> None:
     made = frame(timestamp=1.5)
     np.testing.assert_array_equal(made.color, COLOR)
     np.testing.assert_array_equal(made.depth, DEPTH)
@@ -169,7 +169,7 @@ def test_depth_of_other_floats_becomes_float32_and_views_become_contiguous() -> 
     np.testing.assert_array_equal(made.depth, DEPTH[::-1])
 
 
-def test_valid_is_where_depth_was_measured() -> None:
+def test_valid_marks_pixels_with_depth() -> None:
     depth = DEPTH.copy()
     depth[2, 3] = 0
     assert np.argwhere(~frame(depth=depth).valid).tolist() == [[2, 3]]
@@ -186,10 +186,8 @@ def changed(value: float) -> Float64Array:
     [
         ({"color": COLOR[..., 0]}, r"colour must be an \(H, W, 3\) array"),
         ({"color": COLOR[..., :2]}, r"colour must be an \(H, W, 3\) array, not an array of shape \(12, 16, 2\)"),
-        ({"color": COLOR.tolist()}, "colour must be .* not list"),
         ({"color": COLOR / np.float32(255)}, "colour must be uint8"),
         ({"color": COLOR.astype(np.uint16)}, "colour must be uint8"),
-        ({"depth": DEPTH[..., None]}, r"depth must be an \(H, W\) array"),
         ({"depth": None}, "depth must be .* not NoneType"),
         ({"depth": (DEPTH * 1000).astype(np.uint16)}, "depth must be float32 metres, not uint16"),
         ({"depth": DEPTH.astype(np.complex64)}, "depth must be float32 metres"),
@@ -206,13 +204,13 @@ def changed(value: float) -> Float64Array:
         ({"depth": np.full_like(DEPTH, 1e-60, dtype=np.float64)}, "missing everywhere"),
     ],
 )
-def test_a_frame_that_cannot_be_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_invalid_frames_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(FrameError, match=message) as caught:
         frame(**changes)
     assert str(caught.value).startswith("here: ")
 
 
-def test_a_few_far_or_near_pixels_are_no_reason_to_refuse() -> None:
+def test_a_few_far_or_near_pixels_are_accepted() -> None:
     depth = DEPTH.copy()
     depth[0, :3] = [300, 0.001, 0]
     np.testing.assert_array_equal(frame(depth=depth).depth, depth)
@@ -239,11 +237,11 @@ def test_resizing_keeps_the_geometry(size: tuple[int, int]) -> None:
     assert plane.depth.shape == size[::-1]
     assert plane.color.shape == (*size[::-1], 3)
     points = geometry.back_project(plane.depth, plane.camera)
-    # The nearest pixel is at most half an old pixel away, here 1/40 of a ray, and the plane rises 0.2 a metre.
+    # The nearest pixel is at most half an old pixel away, here 1/40 of a ray, and the plane has a slope of 0.2.
     np.testing.assert_allclose(points @ normal, distance, atol=(0.1 / 40 + 0.2 / 42) * 1.5)
 
 
-def test_shrinking_takes_pixels_near_the_middle_of_each_block_and_never_mixes_depths() -> None:
+def test_shrinking_samples_the_centres_of_blocks_and_never_mixes_depths() -> None:
     small = frame().resized(8, 6)
     np.testing.assert_array_equal(small.depth, DEPTH[1::2, 1::2])
     blocks = COLOR.astype(float).reshape(6, 2, 8, 2, 3).mean((1, 3))
@@ -252,7 +250,7 @@ def test_shrinking_takes_pixels_near_the_middle_of_each_block_and_never_mixes_de
 
 
 @pytest.mark.parametrize("size", [(0, 6), (8, -1), (2.5, 4)])
-def test_resizing_to_no_size_is_refused(size: tuple[int, int]) -> None:
+def test_resizing_to_an_impossible_size_is_refused(size: tuple[int, int]) -> None:
     with pytest.raises(CameraError, match="whole and positive"):
         frame().resized(*size)
 
@@ -288,7 +286,7 @@ def test_grey_and_transparent_colour_images_are_read(pair: tuple[Path, Path]) ->
     np.testing.assert_array_equal(RgbdFrame.read(color, depth, camera=CAMERA).color, COLOR)
 
 
-def test_bytes_after_the_end_of_a_png_do_no_harm(pair: tuple[Path, Path]) -> None:
+def test_bytes_after_the_end_of_a_png_are_ignored(pair: tuple[Path, Path]) -> None:
     pair[1].write_bytes(pair[1].read_bytes() + b"written by a camera driver of some kind")
     np.testing.assert_allclose(RgbdFrame.read(*pair, camera=CAMERA).depth, DEPTH, atol=0.000501)
 
@@ -308,11 +306,11 @@ def encoded(kind: str, image: NDArray[Any]) -> bytes:
         (0, encoded(".jpg", COLOR)[:-30], "color.png: the JPEG is cut off"),
         (0, encoded(".png", DEPTH.astype(np.uint16)), "are colour and depth swapped"),
         (1, encoded(".png", COLOR), "depth.png: a depth image has one channel, this has 3"),
-        (1, encoded(".png", COLOR[..., 0]), "depth.png: a depth image has 16 bits a pixel, this has 8"),
+        (1, encoded(".png", COLOR[..., 0]), "depth.png: a depth image has 16 bits per pixel, this has 8"),
         (1, encoded(".png", np.dstack([DEPTH] * 3).astype(np.uint16)), "one channel"),
     ],
 )
-def test_files_that_are_no_frame_are_refused(
+def test_files_that_form_no_frame_are_refused(
     pair: tuple[Path, Path], index: int, content: bytes | None, message: str
 ) -> None:
     if content is None:
@@ -329,12 +327,12 @@ def test_a_folder_is_no_image(pair: tuple[Path, Path]) -> None:
 
 
 @pytest.mark.parametrize("scale", [0, -1000, float("nan"), float("inf"), "1000", True, None, 10**400])
-def test_depth_scales_that_are_none_are_refused(pair: tuple[Path, Path], scale: Any) -> None:
+def test_invalid_depth_scales_are_refused(pair: tuple[Path, Path], scale: Any) -> None:
     with pytest.raises(FrameError, match="depth_scale must be a"):
         RgbdFrame.read(*pair, camera=CAMERA, depth_scale=scale)
 
 
 @pytest.mark.parametrize(("scale", "message"), [(1, "millimetres"), (1e9, "check the depth scale"), (1e-300, "NaN")])
-def test_depth_scales_that_do_not_fit_are_refused(pair: tuple[Path, Path], scale: float, message: str) -> None:
+def test_implausible_depth_scales_are_refused(pair: tuple[Path, Path], scale: float, message: str) -> None:
     with pytest.raises(FrameError, match=message):
         RgbdFrame.read(*pair, camera=CAMERA, depth_scale=scale)

@@ -1,8 +1,8 @@
-"""The exceptions that the library raises: each says what was wrong, where, and what to do."""
+"""The exceptions of the library; each message states what was wrong, where, and what to do."""
 
 
 class ObjectflowError(Exception):
-    """Anything that objectflow itself finds wrong. The CLI prints its message as one line and exits with 2."""
+    """Base class of all errors of objectflow. The CLI prints the message as one line and exits with code 2."""
 
     exit_code = 2
 
@@ -12,7 +12,7 @@ class CameraError(ObjectflowError):
 
 
 class FrameError(ObjectflowError):
-    """An RGB-D frame, or a pair of frames, that cannot be what it claims to be."""
+    """An RGB-D frame, or a pair of frames, with invalid or implausible content."""
 
 
 class ReaderError(ObjectflowError):
@@ -24,11 +24,15 @@ class GeometryError(ObjectflowError):
 
 
 class ResultError(ObjectflowError):
-    """A result folder that is not one, or one that must not be overwritten."""
+    """A folder that is no result folder, or one that must not be overwritten."""
 
 
 class MethodError(ObjectflowError):
     """An unknown method, or an option that a method does not have."""
+
+
+class SettingsError(MethodError):
+    """A setting that does not exist, has another type, or lies out of bounds."""
 
 
 class DatasetError(ObjectflowError):
@@ -36,7 +40,7 @@ class DatasetError(ObjectflowError):
 
 
 class TrainingError(ObjectflowError):
-    """A training run that cannot start or continue as asked, or whose losses are no numbers any more."""
+    """A training run that cannot start or continue with the given options, or whose losses are no longer finite."""
 
 
 class MissingExtraError(ObjectflowError):
@@ -44,10 +48,10 @@ class MissingExtraError(ObjectflowError):
 
 
 class ViewerError(ObjectflowError):
-    """A viewer that cannot be opened here: no display, no free port."""
+    """A viewer that cannot be opened: no display or no free port."""
 
 
 class StorageError(ObjectflowError):
-    """The disk refused: no room, no permission, a read-only file system."""
+    """A failed read or write: no space, no permission, or a read-only file system."""
 
     exit_code = 1

@@ -1,41 +1,47 @@
-"""`Camera` and `RgbdFrame`: what comes in, checked at the door."""
+"""`RgbdFrame`: a colour image with registered depth, checked when it is created."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import FrameError
 from objectflow.geometry.camera import Camera, check_depth_scale
+from objectflow.geometry.resample import resize_color, resize_nearest
 from objectflow.storage.images import read_color, read_depth
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 MAX_MEDIAN_DEPTH = 50.0
-"""Metres. No depth camera sees further than this in half of its pixels; a wrong scale does."""
+"""Metres. A larger median depth indicates a wrong depth scale."""
 
 MIN_MEDIAN_DEPTH = 0.005
-"""Metres. Nearer than any depth camera can focus."""
+"""Metres. A smaller median depth indicates a wrong depth scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
     """One colour image with its registered depth.
 
+    Images may be given as NumPy arrays, torch tensors on any device, or nested lists. Depth may also be (H, W, 1), and
+    may be integers if `depth_scale` is given.
+
     Attributes:
         color: (H, W, 3) uint8, RGB.
         depth: (H, W) float32, planar z in metres, 0 where missing.
         camera: the pinhole camera of both images.
-        timestamp: seconds, where the source has one.
-        name: where the frame came from, for messages.
+        timestamp: seconds; None where the source has none.
+        name: origin of the frame, for messages.
+
+    Args:
+        depth_scale: units per metre of the given depth; None for metres.
 
     Raises:
-        FrameError: wrong shapes or types, sizes that differ, depth that is missing everywhere, negative, not
-            finite, or in millimetres; a camera of another size.
+        FrameError: wrong shapes or types; different sizes of colour, depth and camera; or depth that is missing
+            everywhere, negative, not finite, or in millimetres.
     """
 
     color: UInt8Array
@@ -43,9 +49,13 @@ class RgbdFrame:
     camera: Camera
     timestamp: float | None = None
     name: str = field(default="frame")
+    depth_scale: InitVar[float | None] = None
 
-    def __post_init__(self) -> None:
-        color, depth, where = self.color, self.depth, self.name
+    def __post_init__(self, depth_scale: float | None) -> None:
+        where = self.name
+        color, depth = (_as_array(value) for value in (self.color, self.depth))
+        if isinstance(depth, np.ndarray) and depth.ndim == 3 and depth.shape[2] == 1:
+            depth = depth[..., 0]
         if not isinstance(self.camera, Camera):
             raise FrameError(f"{where}: camera must be an objectflow.Camera, not {type(self.camera).__name__}")
         if not isinstance(color, np.ndarray) or color.ndim != 3 or color.shape[2] != 3:
@@ -54,9 +64,15 @@ class RgbdFrame:
             raise FrameError(f"{where}: colour must be uint8 in 0..255, not {color.dtype}")
         if not isinstance(depth, np.ndarray) or depth.ndim != 2:
             raise FrameError(f"{where}: depth must be an (H, W) array, not {_describe(depth)}")
+        if depth_scale is not None:
+            check_depth_scale(depth_scale, where=f"{where}: ")
+            if not np.issubdtype(depth.dtype, np.number):
+                raise FrameError(f"{where}: depth must be numbers, not {depth.dtype}")
+            with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which is reported below
+                depth = depth.astype(np.float32) / np.float32(depth_scale)
         if not np.issubdtype(depth.dtype, np.floating):
             raise FrameError(
-                f"{where}: depth must be float32 metres, not {depth.dtype}: divide it by the camera's units a metre"
+                f"{where}: depth must be float32 metres, not {depth.dtype}: give depth_scale, the units per metre"
             )
         if color.shape[:2] != depth.shape:
             raise FrameError(
@@ -70,7 +86,7 @@ class RgbdFrame:
             )
         with np.errstate(over="ignore", under="ignore"):
             metres = np.ascontiguousarray(depth, dtype=np.float32)
-        # After the cast: a double may be finite, and its float32 infinite or 0.
+        # Checked after the cast: a finite double may become infinite or 0 as float32.
         _check_depth_values(metres, where)
         object.__setattr__(self, "color", np.ascontiguousarray(color))
         object.__setattr__(self, "depth", metres)
@@ -88,52 +104,73 @@ class RgbdFrame:
         """Read a colour image (PNG, JPEG, ...) and a 16-bit depth PNG; metres = value / `depth_scale`.
 
         Raises:
-            ReaderError: a file that is missing, broken or of the wrong kind.
-            FrameError: images that make no frame.
+            ReaderError: a file is missing, broken or of the wrong kind.
+            FrameError: the images do not form a valid frame.
         """
         check_depth_scale(depth_scale)
         color_image, depth_image = read_color(Path(color)), read_depth(Path(depth))
-        with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which the frame reports
+        with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which the constructor reports
             metres = depth_image.astype(np.float32) / np.float32(depth_scale)
         return cls(color=color_image, depth=metres, camera=camera, timestamp=timestamp, name=str(depth))
 
     @property
     def valid(self) -> BoolMask:
-        """(H, W) bool: where depth was measured."""
+        """(H, W) bool: pixels with depth."""
         return self.depth > 0
 
+    def __repr__(self) -> str:
+        share = 100 * float(self.valid.mean())
+        depth = f"{np.median(self.depth[self.valid]):.2f} m" if share else "no depth"
+        when = "" if self.timestamp is None else f", t={self.timestamp:.3f}"
+        size = f"{self.camera.width}x{self.camera.height}"
+        return f"RgbdFrame({self.name!r}, {size}, depth at {share:.0f}% of pixels, median {depth}{when})"
+
     def resized(self, width: int, height: int) -> RgbdFrame:
-        """The frame at another resolution: colour by area, depth by nearest neighbour, so no edge is smeared.
+        """The frame at another resolution: colour by area, depth by nearest neighbour, which keeps its edges sharp.
 
         Raises:
             CameraError: a size that is not whole and positive.
-            FrameError: none of the pixels that were measured is left.
+            FrameError: no pixel with depth is left.
         """
         camera = self.camera.scaled(width, height)
         if (width, height) == (self.camera.width, self.camera.height):
             return self
-        shrink = width < self.camera.width
-        color = cv2.resize(self.color, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
-        # cv2's own nearest neighbour takes the top-left pixel of a block, half a block off; these are the centres.
-        rows = ((np.arange(height) + 0.5) * self.camera.height / height).astype(int)
-        columns = ((np.arange(width) + 0.5) * self.camera.width / width).astype(int)
         return RgbdFrame(
-            color=color.astype(np.uint8, copy=False),
-            depth=self.depth[rows[:, None], columns[None, :]],
+            color=resize_color(self.color, (height, width)),
+            depth=resize_nearest(self.depth, (height, width)),
             camera=camera,
             timestamp=self.timestamp,
             name=self.name,
         )
 
     def downscaled_to_width(self, width: int) -> RgbdFrame:
-        """The frame at `width` pixels and its own proportions; itself if it is no wider."""
+        """The frame at a width in pixels, with its aspect ratio kept; unchanged if it is no wider."""
         if self.camera.width <= width:
             return self
         return self.resized(width, max(1, round(self.camera.height * width / self.camera.width)))
 
 
+def _as_array(value: Any) -> Any:
+    """Convert an array, tensor or nested list to an array; other values are returned for the error message."""
+    if isinstance(value, np.ndarray):
+        return value
+    if hasattr(value, "detach") and hasattr(value, "cpu"):  # a torch tensor, without importing torch
+        return np.asarray(value.detach().cpu())
+    if isinstance(value, list | tuple):
+        try:
+            found = np.asarray(value)
+        except (ValueError, OverflowError):
+            return value
+        # Lists of whole numbers become int64; colour is uint8.
+        is_bytes = (
+            found.dtype.kind == "i" and found.ndim == 3 and found.size and 0 <= found.min() <= found.max() <= 255
+        )
+        return found.astype(np.uint8) if is_bytes and found.shape[2] == 3 else found
+    return value
+
+
 def check_pair(prev: RgbdFrame, curr: RgbdFrame) -> None:
-    """Check that two frames can be compared.
+    """Check that two frames have the same size and the same camera.
 
     Raises:
         FrameError: the frames differ in size or in intrinsics.
@@ -158,10 +195,13 @@ def _check_depth_values(depth: NDArray[np.floating[Any]], where: str) -> None:
     median = float(np.median(depth[depth > 0]))
     if median > MAX_MEDIAN_DEPTH:
         raise FrameError(
-            f"{where}: the median depth is {median:.0f} m: is it in millimetres? Check the depth scale (units a metre)"
+            f"{where}: the median depth is {median:.0f} m: is it in millimetres? "
+            "Check the depth scale (units per metre)"
         )
     if median < MIN_MEDIAN_DEPTH:
-        raise FrameError(f"{where}: the median depth is {median * 1000:.2g} mm: check the depth scale (units a metre)")
+        raise FrameError(
+            f"{where}: the median depth is {median * 1000:.2g} mm: check the depth scale (units per metre)"
+        )
 
 
 def _describe(value: object) -> str:

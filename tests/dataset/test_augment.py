@@ -1,4 +1,4 @@
-"""Variations of rendered scenes, judged by warping them with their own motions; and what sensors make of them."""
+"""Augmentation of rendered scenes, checked by warping them with their own motions, and noise of sensors."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from analytic import AnalyticPair, make_scene
+from helpers.object_tables import object_table
 from objectflow import geometry
 from objectflow.dataset import transforms
 from objectflow.dataset.augment import AugmentSettings, augment, network_inputs
@@ -53,12 +54,12 @@ def batch() -> Batch:
         prev_labels=stack([pair.prev_labels for pair in pairs]),
         curr_labels=stack([pair.labels for pair in pairs]),
         intrinsics=torch.tensor([camera.fx, camera.fy, camera.cx, camera.cy]).expand(len(SEEDS), 4),
-        table=ObjectTable.from_rows([objects_of(pair) for pair in pairs]),
+        table=object_table([objects_of(pair) for pair in pairs]),
     )
 
 
 def rows_of(batch: Batch) -> list[PairRow]:
-    """Back to what `warp_errors` takes: independent code, in NumPy."""
+    """The rows that `warp_errors` takes: independent NumPy code."""
     rows = []
     height, width = batch.curr_depth.shape[1:]
     for b, key in enumerate(batch.keys):
@@ -108,18 +109,18 @@ def variation(name: str, batch: Batch) -> Batch:
 
 
 @pytest.mark.parametrize("name", ["flip", "swap", "crop", "all"])
-def test_motions_still_take_current_points_to_previous_ones(batch: Batch, name: str) -> None:
+def test_motions_still_map_current_points_to_previous_ones(batch: Batch, name: str) -> None:
     before, after = quality(batch), quality(variation(name, batch))
-    assert before[0] < 1e-5  # the scenes are exact, and planes stay so
+    assert before[0] < 1e-5  # the scenes are exact, and planes stay exact
     assert after[0] < 2e-5
-    assert after[1] < 2 * before[1]  # on round surfaces a new pixel is carried along the tangent
-    # Enlarged pictures differ less between neighbours, and fewer of their pixels lie beside an edge.
+    assert after[1] < 2 * before[1]  # curved surfaces are extrapolated along their tangent
+    # Enlarged images differ less between neighbours, and fewer of their pixels lie next to an edge.
     assert after[2] < 1.2 * before[2]
     assert after[3] > 0.8 * before[3]
 
 
-def test_one_sign_wrong_would_show(batch: Batch) -> None:
-    """The judge of the test above can tell."""
+def test_a_wrong_sign_is_detected(batch: Batch) -> None:
+    """The check of the test above is sensitive."""
     flipped = transforms.flip(batch, EVERY)
     wrong = dataclasses.replace(flipped.table, rotation=-flipped.table.rotation)
     assert quality(dataclasses.replace(flipped, table=wrong))[1] > 5e-3
@@ -129,7 +130,7 @@ def test_one_sign_wrong_would_show(batch: Batch) -> None:
 
 
 @pytest.mark.parametrize("name", ["flip", "swap"])
-def test_twice_is_as_before(batch: Batch, name: str) -> None:
+def test_applying_a_transform_twice_restores_the_batch(batch: Batch, name: str) -> None:
     batch = with_camera_motion(batch)
     twice = variation(name, variation(name, batch))
     for field in dataclasses.fields(Batch):
@@ -139,7 +140,7 @@ def test_twice_is_as_before(batch: Batch, name: str) -> None:
         torch.testing.assert_close(getattr(twice.table, field.name), getattr(batch.table, field.name))
 
 
-def test_only_the_chosen_pairs_change(batch: Batch) -> None:
+def test_only_the_selected_pairs_change(batch: Batch) -> None:
     which = torch.tensor([False, True, False])
     for change in (transforms.flip, transforms.swap):
         changed = change(batch, which)
@@ -148,8 +149,8 @@ def test_only_the_chosen_pairs_change(batch: Batch) -> None:
         assert not torch.equal(changed.prev_depth[1], batch.prev_depth[1])
 
 
-def test_a_crop_mixes_no_depths_and_forgets_what_left(batch: Batch) -> None:
-    """Two fronts before a back: no depth between them appears. A part without an object forgets the object."""
+def test_a_crop_mixes_no_depths_and_removes_objects_outside_it(batch: Batch) -> None:
+    """Two surfaces in front of a third: no depth between them appears. Objects outside the crop leave the table."""
     depth = torch.full((1, 40, 60), 0.9)
     labels = torch.zeros(1, 40, 60, dtype=torch.int32)
     depth[:, 10:20, 10:25], labels[:, 10:20, 10:25] = 0.5, 1
@@ -170,7 +171,7 @@ def test_a_crop_mixes_no_depths_and_forgets_what_left(batch: Batch) -> None:
     make_targets(away.table, away.curr_labels, torch.ones(1, 3, 40, 60))
 
 
-def test_the_same_generator_draws_the_same(batch: Batch) -> None:
+def test_equal_generators_draw_equal_batches(batch: Batch) -> None:
     settings = AugmentSettings()
 
     def draw(seed: int) -> tuple[torch.Tensor, ...]:
@@ -182,7 +183,7 @@ def test_the_same_generator_draws_the_same(batch: Batch) -> None:
     assert not any(torch.equal(a, b) for a, b in zip(first, other, strict=True))
 
 
-def test_nothing_leaves_batches_as_they_are(batch: Batch) -> None:
+def test_the_settings_nothing_change_no_batch(batch: Batch) -> None:
     settings = AugmentSettings.nothing()
     same = augment(batch, settings, torch.Generator())
     assert all(getattr(same, field.name) is getattr(batch, field.name) for field in dataclasses.fields(Batch))
@@ -214,7 +215,7 @@ def test_noise_reaches_inputs_and_not_targets(batch: Batch) -> None:
         known = off[b].isfinite()
         assert 1e-5 < float(off[b][known].abs().median()) < 0.02
     targets = make_targets(batch.table, batch.curr_labels, inputs.exact_points)
-    assert bool((targets.mask & lost[:, 0]).any())  # lost pixels are still asked for
+    assert bool((targets.mask & lost[:, 0]).any())  # pixels without measured depth keep their targets
     flow = scene_flow(targets.rotation, targets.translation, targets.center, exact.curr_points)
     measured = targets.mask & exact.curr_points[:, 2].isfinite()
     torch.testing.assert_close(
@@ -222,7 +223,7 @@ def test_noise_reaches_inputs_and_not_targets(batch: Batch) -> None:
     )
 
 
-def test_colours_change_alike_in_both_frames(batch: Batch) -> None:
+def test_both_frames_share_their_colour_change(batch: Batch) -> None:
     settings = dataclasses.replace(AugmentSettings.nothing(), brightness=0.4, contrast=0.3, saturation=0.5, hue=0.5)
     still = dataclasses.replace(batch, prev_color=batch.curr_color)
     alike = augment(still, settings, torch.Generator().manual_seed(0))
@@ -233,11 +234,11 @@ def test_colours_change_alike_in_both_frames(batch: Batch) -> None:
     assert 0.1 < float(apart) < float((alike.curr_color.float() - batch.curr_color.float()).abs().mean())
 
 
-def test_recoloring_does_as_named() -> None:
+def test_brightness_contrast_saturation_and_hue() -> None:
     color = torch.full((1, 3, 4, 4), 100, dtype=torch.uint8)
     color[:, 0, :, 2:] = 160
     empty = torch.zeros(1, 4, 4)
-    table = ObjectTable.from_rows([[]])
+    table = object_table([[]])
     one = Batch(("a",), color, color, empty, empty, empty.int(), empty.int(), torch.ones(1, 4), table)
 
     def recolored(*amounts: float) -> torch.Tensor:
@@ -273,15 +274,15 @@ def test_settings_are_checked(bad: dict[str, float]) -> None:
 
 
 def with_camera_motion(batch: Batch) -> Batch:
-    """The camera turned about a skew axis, and went."""
+    """The batch with a camera that rotated about an oblique axis and moved."""
     motion = torch.eye(4)
     motion[:3, :3] = torch.linalg.matrix_exp(torch.tensor([[0.0, -0.03, 0.02], [0.03, 0, -0.05], [-0.02, 0.05, 0]]))
     motion[:3, 3] = torch.tensor([0.01, -0.02, 0.03])
     return dataclasses.replace(batch, camera_motion=motion.expand(len(batch), 4, 4).clone())
 
 
-def test_the_camera_is_mirrored_and_turned_back_with_the_scene(batch: Batch) -> None:
-    """A point of the world, seen in the mirror or with the frames swapped, goes where its own image goes."""
+def test_the_camera_motion_is_mirrored_and_inverted_with_the_scene(batch: Batch) -> None:
+    """The transformed motion maps the transformed image of a world point."""
     batch = with_camera_motion(batch)
     assert batch.camera_motion is not None
     curr = torch.tensor([0.1, -0.2, 0.7, 1.0])

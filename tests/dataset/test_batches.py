@@ -1,4 +1,4 @@
-"""Batches: the rows that they promise, whole, in every split among workers, ranks and runs."""
+"""Batches hold the expected rows for every number of workers and ranks, and after every resume."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.object_tables import object_table
 from helpers.pair_sets import CAMERA, random_pair, without_objects, write_pairs
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.schema import PairRow
@@ -19,7 +20,7 @@ from objectflow.errors import DatasetError
 from objectflow.geometry.camera import Camera
 
 OBJECTS = (2, 0, 3, 1, 5)
-"""Of every fifth row; label 3 is not seen in both frames."""
+"""Number of objects, in a cycle of five rows; label 3 is not visible in both frames."""
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +42,9 @@ def same(one: Batch, other: Batch) -> bool:
 
 def test_a_batch_holds_the_rows_of_its_keys(shards: Shards[PairRow]) -> None:
     batches = Batches(shards, 4, size=None, seed=1)
-    for batch in islice(batches.iterate(), 8):  # beyond the first pass: fresh and kept rows
+    for batch in islice(batches.iterate(), 8):  # beyond the first pass: decoded and cached rows
         rows = [shards[shards.find(key)] for key in batch.keys]
-        table = ObjectTable.from_rows([row.objects for row in rows])
+        table = object_table([row.objects for row in rows])
         assert batch.table.label.shape == table.label.shape
         for name in ObjectTable.__dataclass_fields__:
             assert torch.equal(getattr(batch.table, name), getattr(table, name))
@@ -75,7 +76,7 @@ def test_resume_equals_the_undisturbed_run(shards: Shards[PairRow]) -> None:
 
 
 def test_worker_processes_change_nothing(shards: Shards[PairRow]) -> None:
-    """With nothing kept, and with a few of the rows kept in memory that the processes share."""
+    """Without a cache, and with a cache of a few rows that the processes share."""
     alone = Batches(shards, 5, size=(12, 16), seed=2, cache_bytes=0)
     shared = Batches(shards, 5, size=(12, 16), seed=2, workers=2, cache_bytes=150_000)
     before = torch.get_rng_state()
@@ -98,7 +99,7 @@ def test_a_killed_worker_is_reported_and_none_is_left(shards: Shards[PairRow]) -
     assert not multiprocessing.active_children()
 
 
-def test_ranks_part_the_joint_batch(shards: Shards[PairRow]) -> None:
+def test_ranks_divide_the_joint_batch(shards: Shards[PairRow]) -> None:
     joint = Batches(shards, 6, size=None, seed=3)
     ranks = [Batches(shards, 2, size=None, seed=3, rank=r, world_size=3) for r in range(3)]
     for step in range(9):
@@ -128,7 +129,7 @@ def test_resized_frames_are_those_of_the_frame_itself(shards: Shards[PairRow]) -
 
 
 def test_a_point_keeps_its_place_when_resized(tmp_path: Path) -> None:
-    """A slanted plane: its points at the smaller size lie on the same plane, up to the half pixel of the nearest."""
+    """The points of a slanted plane lie on the same plane at a smaller size, up to half a stored pixel."""
     camera = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)
     u, v = np.meshgrid(np.arange(96), np.arange(72))
     # z = 0.8 + 0.3 x + 0.2 y in the camera frame.
@@ -137,14 +138,14 @@ def test_a_point_keeps_its_place_when_resized(tmp_path: Path) -> None:
     frame = row.curr.__class__(color=row.curr.color, depth=depth, camera=camera)
     pair = PairRow("a", "a", frame, row.prev_labels, frame, row.curr_labels, row.objects)
     shards = write_pairs(tmp_path / "plane", [pair])
-    for height, width in ((24, 32), (18, 48)):  # odd factors hit centres exactly, others nearly
+    for height, width in ((24, 32), (18, 48)):  # odd factors sample pixel centres exactly
         batch = next(iter(Batches(shards, 1, size=(height, width), seed=0).iterate()))
         fx, fy, cx, cy = batch.intrinsics[0].double().tolist()
         y, x = np.mgrid[:height, :width]
         z = batch.curr_depth[0].double().numpy()
         off = z - 0.8 - 0.3 * (x - cx) / fx * z - 0.2 * (y - cy) / fy * z
         exact = (height, width) == (24, 32)
-        # Half a stored pixel is 1 / 160 of the depth; the plane's slope turns that into a third of it.
+        # Half a stored pixel is 1 / 160 of the depth; the slope of the plane reduces it to a third.
         assert np.abs(off).max() < (2e-4 if exact else 0.8 * 0.5 / 80 * 1.5 * (0.3 + 0.2))
 
 
@@ -158,7 +159,7 @@ def test_bad_data_is_named(shards: Shards[PairRow], tmp_path: Path) -> None:
     part = open_pairs(tmp_path / "set")
     with pytest.raises(DatasetError, match=r"train-00001-of-00002.parquet: its hash"):
         Batches(part, 2, size=None, seed=0)
-    Batches(part, 2, size=None, seed=0, rank=0, world_size=2)  # the other shard is the other rank's to check
+    Batches(part, 2, size=None, seed=0, rank=0, world_size=2)  # the other rank checks the other shard
     with pytest.raises(DatasetError, match=r"no manifest.json"):
         open_pairs(tmp_path)
     empty = write_pairs(tmp_path / "empty", [without_objects(row) for row in rows])
@@ -184,5 +185,5 @@ def test_a_broken_row_is_named_by_a_worker_too(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"IEND", b"XEND"))
     for workers in (0, 1):
         batches = Batches(shards, 2, size=None, seed=0, workers=workers, shuffle=False, verify=False)
-        with pytest.raises(DatasetError, match=r"row 0: .*not a whole PNG"):
+        with pytest.raises(DatasetError, match=r"row 0: .*not a complete PNG"):
             next(iter(batches.iterate()))

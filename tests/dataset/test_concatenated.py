@@ -1,4 +1,4 @@
-"""Several data sets as one: every row once, under a key that says whose it is."""
+"""Concatenated data sets: every row once, under a key that names its folder."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from objectflow.dataset.concatenated import open_joined
 from objectflow.errors import DatasetError
 
 
-def test_rows_come_from_both_sets_and_each_once_a_pass(tmp_path: Path) -> None:
+def test_every_row_of_both_sets_comes_once_per_pass(tmp_path: Path) -> None:
     first = write_pairs(tmp_path / "first", [random_pair(i, objects=2) for i in range(5)])
     second = write_pairs(tmp_path / "second", [random_pair(100 + i, objects=1) for i in range(3)])
     split = first.part.split
@@ -38,14 +38,14 @@ def test_rows_come_from_both_sets_and_each_once_a_pass(tmp_path: Path) -> None:
             np.testing.assert_array_equal(batch.curr_color[place].permute(1, 2, 0), row.curr.color)
 
 
-def test_one_folder_is_read_as_ever_and_none_twice(tmp_path: Path) -> None:
+def test_a_single_folder_keeps_its_keys_and_no_folder_comes_twice(tmp_path: Path) -> None:
     shards = write_pairs(tmp_path / "first", [random_pair(0, objects=2)])
     assert open_joined([tmp_path / "first"], shards.part.split).keys() == shards.keys()
     with pytest.raises(DatasetError, match="different folders"):
         open_joined([tmp_path / "first", tmp_path / "." / "first"], shards.part.split)
 
 
-def test_a_broken_file_of_either_is_found(tmp_path: Path) -> None:
+def test_a_damaged_file_of_either_set_is_found(tmp_path: Path) -> None:
     first = write_pairs(tmp_path / "first", [random_pair(0, objects=2)])
     second = write_pairs(tmp_path / "second", [random_pair(1, objects=2)])
     path = second.files()[0][0]

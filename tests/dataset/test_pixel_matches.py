@@ -1,4 +1,4 @@
-"""Exact matches against a scene that can be computed by hand."""
+"""True matches of scenes that can be computed by hand."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ def test_a_sideways_shift_is_focal_length_by_shift_over_depth() -> None:
     np.testing.assert_allclose(
         found[0, :, row, column].numpy(), [column + 40 * 0.1 / 2, row - 50 * 0.2 / 2], atol=1e-4
     )
-    # 2 columns to the right and 5 rows up: what leaves the image is no match.
+    # The shift is 2 columns to the right and 5 rows up; pixels that leave the image have no match.
     assert torch.isnan(found[0, :, :, WIDTH - 2 :]).all()
     assert torch.isnan(found[0, :, :5]).all()
     assert torch.isfinite(found[0, :, 5:, : WIDTH - 2]).all()
 
 
-def test_a_point_behind_the_previous_surface_is_hidden() -> None:
+def test_a_point_behind_the_previous_surface_is_occluded() -> None:
     points = back_project(plane(1.0)[:, None], INTRINSICS)
     still = torch.zeros_like(points)
     before = plane(1.0)
     before[:, 5:9, 5:9] = 0.8
     before[:, 15:18, 15:18] = 0.98  # within the tolerance of 1 cm and 2 percent
-    before[:, 20, 20] = 0  # nothing known: hides nothing
-    hidden = torch.isnan(previous_pixels(points, still, before, INTRINSICS)[0, 0])
+    before[:, 20, 20] = 0  # missing depth occludes nothing
+    occluded = torch.isnan(previous_pixels(points, still, before, INTRINSICS)[0, 0])
     expected = torch.zeros(HEIGHT, WIDTH, dtype=torch.bool)
     expected[5:9, 5:9] = True
-    assert torch.equal(hidden, expected)
+    assert torch.equal(occluded, expected)
 
 
-def test_points_without_depth_or_from_behind_the_camera_have_no_match() -> None:
+def test_points_without_depth_or_behind_the_camera_have_no_match() -> None:
     depth = plane(1.0)
     depth[:, 3, 4] = 0
     points = back_project(depth[:, None], INTRINSICS)

@@ -1,4 +1,4 @@
-"""Dense targets against a slow, obvious reference, pixel by pixel."""
+"""Dense targets against a loop over pixels."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from helpers.object_tables import object_table
 from objectflow import geometry
 from objectflow.dataset.schema import PairObject
-from objectflow.dataset.targets import ObjectTable, make_targets, with_camera
+from objectflow.dataset.targets import make_targets, with_camera
 from objectflow.errors import DatasetError
 
 
@@ -47,7 +48,7 @@ def a_batch() -> tuple[list[list[PairObject]], torch.Tensor, torch.Tensor]:
 
 def test_maps_equal_a_loop_over_pixels() -> None:
     rows, labels, points = a_batch()
-    targets = make_targets(ObjectTable.from_rows(rows), labels, points, nearest=40)
+    targets = make_targets(object_table(rows), labels, points, nearest=40)
     for b, objects in enumerate(rows):
         by_label = {entry.label: entry for entry in objects}
         for v in range(24):
@@ -72,9 +73,9 @@ def test_maps_equal_a_loop_over_pixels() -> None:
                     assert not targets.flow[b, :, v, u].any()
 
 
-def test_behind_a_moving_camera_the_rest_moves_as_it_does() -> None:
+def test_the_background_of_a_moving_camera_moves_with_it() -> None:
     rows, labels, points = a_batch()
-    targets = make_targets(ObjectTable.from_rows(rows), labels, points)
+    targets = make_targets(object_table(rows), labels, points)
     camera = np.tile(np.eye(4), (3, 1, 1))
     camera[0, :3, :3] = Rotation.from_rotvec([0.02, -0.05, 0.01]).as_matrix()
     camera[0, :3, 3] = [0.01, 0.0, -0.03]
@@ -84,13 +85,13 @@ def test_behind_a_moving_camera_the_rest_moves_as_it_does() -> None:
     np.testing.assert_allclose(moved.flow[0].permute(1, 2, 0).numpy()[rest], flow[rest], atol=1e-6)
     assert np.linalg.norm(flow[rest], axis=1).min() > 0.005
     np.testing.assert_array_equal(moved.flow[0][:, ~rest], targets.flow[0][:, ~rest])
-    np.testing.assert_array_equal(moved.flow[1:], targets.flow[1:])  # the other cameras stand still
+    np.testing.assert_array_equal(moved.flow[1:], targets.flow[1:])  # the other cameras are static
     assert with_camera(targets, points, None) is targets
 
 
-def test_radius_is_half_the_way_to_the_nearest_trajectory() -> None:
+def test_radius_is_half_the_distance_to_the_nearest_trajectory() -> None:
     rows, labels, points = a_batch()
-    targets = make_targets(ObjectTable.from_rows(rows), labels, points)
+    targets = make_targets(object_table(rows), labels, points)
     trajectories = {entry.label: np.r_[entry.center, entry.center + entry.translation] for entry in rows[0]}
     for label, own in trajectories.items():
         nearest = min(np.linalg.norm(own - other) for k, other in trajectories.items() if k != label)
@@ -99,9 +100,9 @@ def test_radius_is_half_the_way_to_the_nearest_trajectory() -> None:
     np.testing.assert_array_equal(targets.radius[1, 0][labels[1] == 3], 0.5)
 
 
-def test_rotation_counts_into_the_radius_on_request() -> None:
+def test_rotations_enter_the_radius_on_request() -> None:
     rows, labels, points = a_batch()
-    targets = make_targets(ObjectTable.from_rows(rows), labels, points, rotation_weight=0.2)
+    targets = make_targets(object_table(rows), labels, points, rotation_weight=0.2)
     features = {
         entry.label: np.r_[entry.center, entry.center + entry.translation, 0.2 * entry.rotation_vector]
         for entry in rows[0]
@@ -113,7 +114,7 @@ def test_rotation_counts_into_the_radius_on_request() -> None:
 
 def test_seeds_are_the_nearest_pixels_to_the_center() -> None:
     rows, labels, points = a_batch()
-    targets = make_targets(ObjectTable.from_rows(rows), labels, points, nearest=40)
+    targets = make_targets(object_table(rows), labels, points, nearest=40)
     for b, objects in enumerate(rows):
         for entry in objects:
             inside = (labels[b] == entry.label) & torch.isfinite(points[b, 2])
@@ -127,7 +128,7 @@ def test_seeds_are_the_nearest_pixels_to_the_center() -> None:
 
 def test_an_unknown_label_and_wrong_shapes_are_refused() -> None:
     rows, labels, points = a_batch()
-    table = ObjectTable.from_rows(rows)
+    table = object_table(rows)
     with pytest.raises(DatasetError, match="lacks"):
         make_targets(table, torch.full_like(labels, 9), points)
     with pytest.raises(DatasetError, match="points"):

@@ -1,4 +1,4 @@
-"""Normals of surfaces that are known."""
+"""Normals of known surfaces."""
 
 from __future__ import annotations
 

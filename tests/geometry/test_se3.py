@@ -1,4 +1,4 @@
-"""Geometry against SciPy's rotations, matrix exponentials and closed forms."""
+"""Rigid motions and projection against SciPy, matrix exponentials and closed forms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ seeds = st.integers(0, 2**32 - 1)
 def twist_matrix(twist: Float64Array) -> Float64Array:
     out = np.zeros((4, 4))
     out[:3, 3] = twist[:3]
-    out[:3, :3] = np.cross(np.eye(3), twist[3:])  # row i is e_i x w, which is hat(w) row by row
+    out[:3, :3] = np.cross(np.eye(3), twist[3:])  # row i is e_i x w, which is row i of hat(w)
     return out
 
 
@@ -53,9 +53,9 @@ def test_so3_exp_agrees_with_scipy(angle: float) -> None:
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_so3_log_finds_the_vector_again(angle: float) -> None:
+def test_so3_log_recovers_the_vector(angle: float) -> None:
     found = geometry.so3_log(Rotation.from_rotvec(angle * AXES).as_matrix())
-    if angle == np.pi:  # both ends of the axis are one rotation
+    if angle == np.pi:  # both directions of the axis are the same rotation
         found = found * np.sign((found * AXES).sum(-1, keepdims=True))
     np.testing.assert_allclose(found, angle * AXES, atol=1e-14)
 
@@ -74,7 +74,7 @@ def test_half_turns_about_the_axes_are_exact() -> None:
 
 @reproducible
 @given(vectors)
-def test_so3_exp_gives_rotations_whose_log_is_shortest(w: Float64Array) -> None:
+def test_so3_exp_gives_rotations_with_the_shortest_log(w: Float64Array) -> None:
     R = geometry.so3_exp(w)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     assert np.linalg.det(R) > 0
@@ -101,7 +101,7 @@ def test_se3_exp_agrees_with_the_matrix_exponential(angle: float) -> None:
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_se3_log_undoes_se3_exp(angle: float) -> None:
+def test_se3_log_inverts_se3_exp(angle: float) -> None:
     rho = np.random.default_rng(2).normal(size=(len(AXES), 3))
     T = geometry.se3_exp(np.concatenate([rho, angle * AXES], axis=-1))
     np.testing.assert_allclose(geometry.se3_exp(geometry.se3_log(T)), T, atol=1e-13)
@@ -109,7 +109,7 @@ def test_se3_log_undoes_se3_exp(angle: float) -> None:
 
 @reproducible
 @given(vectors, vectors)
-def test_se3_exp_moves_points_by_a_rigid_motion_and_inverse_undoes_it(rho: Float64Array, w: Float64Array) -> None:
+def test_se3_exp_is_a_rigid_motion_with_an_inverse(rho: Float64Array, w: Float64Array) -> None:
     T = geometry.se3_exp(np.concatenate([rho, w]))
     points = np.random.default_rng(3).normal(size=(4, 3))
     moved = geometry.transform(T, points)
@@ -118,7 +118,7 @@ def test_se3_exp_moves_points_by_a_rigid_motion_and_inverse_undoes_it(rho: Float
     np.testing.assert_allclose(geometry.inverse(T), np.linalg.inv(T), atol=1e-13)
 
 
-def test_transform_keeps_the_dtype_and_works_in_batches() -> None:
+def test_transform_keeps_the_dtype_and_accepts_batches() -> None:
     T = random_motion(np.random.default_rng(4))
     points = np.random.default_rng(5).normal(size=(3, 2, 3)).astype(np.float32)
     moved = geometry.transform(T, points)
@@ -134,7 +134,7 @@ def test_kabsch_recovers_a_motion(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     T, points = random_motion(rng), rng.normal(size=(count, 3))
     found, determined = geometry.kabsch(points, geometry.transform(T, points), rng.uniform(0.1, 2, count))
-    if not determined:  # three points that are nearly on a line
+    if not determined:  # three nearly collinear points
         assert count == 3
         return
     np.testing.assert_allclose(found, T, atol=1e-6)
@@ -152,7 +152,7 @@ def test_kabsch_agrees_with_scipy_on_noisy_weighted_points() -> None:
     np.testing.assert_allclose(found[:3, 3], q_mean - expected @ p_mean, atol=1e-9)
 
 
-def test_kabsch_weighs_whole_numbers_like_repeated_points() -> None:
+def test_kabsch_treats_integer_weights_as_repetitions() -> None:
     rng = np.random.default_rng(7)
     points, seen = rng.normal(size=(2, 6, 3))
     counts = np.array([1, 2, 0, 3, 1, 0])
@@ -168,7 +168,7 @@ def test_kabsch_never_reflects() -> None:
     assert determined
     np.testing.assert_allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-13)
     assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
-    # No other rotation does better (the best of many by trial).
+    # None of many random rotations has a lower cost.
     cost = np.sum((geometry.transform(found, points) - points * [1, 1, -1]) ** 2)
     for R in Rotation.random(300, rng=rng).as_matrix():
         moved = (points - points.mean(0)) @ R.T + (points * [1, 1, -1]).mean(0)
@@ -196,7 +196,7 @@ def test_kabsch_fits_points_on_a_plane() -> None:
     ],
     ids=["none", "one", "two", "line", "coincident", "no weight", "two that count"],
 )
-def test_kabsch_reports_what_fixes_no_rotation(points: Float64Array, weights: Float64Array | None) -> None:
+def test_kabsch_reports_points_that_determine_no_rotation(points: Float64Array, weights: Float64Array | None) -> None:
     T = random_motion(np.random.default_rng(10))
     seen = geometry.transform(T, points)
     found, determined = geometry.kabsch(points, seen, weights)
@@ -206,7 +206,7 @@ def test_kabsch_reports_what_fixes_no_rotation(points: Float64Array, weights: Fl
     np.testing.assert_allclose(geometry.transform(found, points[counting]), seen[counting], atol=1e-12)
 
 
-def test_kabsch_of_a_batch_is_kabsch_of_each() -> None:
+def test_kabsch_of_a_batch_equals_kabsch_of_its_elements() -> None:
     rng = np.random.default_rng(11)
     points, seen = rng.normal(size=(2, 2, 3, 7, 3))
     points[1, 2] = 0.5  # one degenerate set in the batch
@@ -241,7 +241,7 @@ def test_kabsch_refuses_bad_input(
         geometry.kabsch(curr, prev, weights)
 
 
-def test_back_projection_and_projection_by_hand() -> None:
+def test_back_projection_and_projection_of_known_points() -> None:
     depth = np.zeros((24, 32), np.float32)
     depth[12, 15] = 2.0
     depth[3, 31] = 0.5
@@ -255,19 +255,42 @@ def test_back_projection_and_projection_by_hand() -> None:
 
 @reproducible
 @given(seeds)
-def test_projection_undoes_back_projection(seed: int) -> None:
+def test_projection_inverts_back_projection(seed: int) -> None:
     depth = np.random.default_rng(seed).uniform(0.1, 5, (24, 32)).astype(np.float32)
     pixels = geometry.project(geometry.back_project(depth, CAMERA), CAMERA)
     v, u = np.mgrid[0:24, 0:32]
     np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=1e-4)
 
 
-def test_projection_agrees_with_the_intrinsic_matrix_and_skips_what_lies_behind() -> None:
+def test_projection_agrees_with_the_intrinsic_matrix_and_is_nan_behind_the_camera() -> None:
     points = np.random.default_rng(12).uniform([-1, -1, 0.2], [1, 1, 3], (50, 3))
     rays = points @ CAMERA.matrix.T
     np.testing.assert_allclose(geometry.project(points, CAMERA), rays[:, :2] / rays[:, 2:], atol=1e-12)
     behind: NDArray[Any] = np.array([[0.1, 0.1, 0], [0.1, 0.1, -1], [np.nan, 0, 1]])
     assert np.isnan(geometry.project(behind, CAMERA)[:, 0]).all()
+
+
+def test_back_projection_of_pixels_is_that_of_the_image() -> None:
+    depth = np.random.default_rng(15).uniform(0.1, 5, (24, 32)).astype(np.float32)
+    v, u = np.mgrid[0:24, 0:32]
+    points = geometry.back_project_pixels(np.stack([u, v], axis=-1).astype(np.float32), depth, CAMERA)
+    assert points.dtype == np.float32
+    np.testing.assert_array_equal(points, geometry.back_project(depth, CAMERA))
+    between = geometry.back_project_pixels(np.array([15.5, 12.0]), np.float64(2), CAMERA)
+    np.testing.assert_allclose(geometry.project(between, CAMERA), [15.5, 12], atol=1e-12)
+
+
+def test_nearest_rotation_maximises_the_trace_and_never_reflects() -> None:
+    rng = np.random.default_rng(16)
+    matrices = rng.normal(size=(8, 3, 3))
+    found, singular = geometry.nearest_rotation(matrices)
+    np.testing.assert_allclose(np.linalg.det(found), 1, atol=1e-12)
+    np.testing.assert_allclose(singular, np.linalg.svd(matrices, compute_uv=False), atol=1e-12)
+    trials = Rotation.random(300, rng=rng).as_matrix()
+    for R, matrix in zip(found, matrices, strict=True):
+        assert np.trace(R.T @ matrix) >= np.einsum("kij,ij->k", trials, matrix).max() - 1e-9
+    for R in trials[:5]:
+        np.testing.assert_allclose(geometry.nearest_rotation(3 * R)[0], R, atol=1e-12)
 
 
 def test_flow_follows_equation_1() -> None:

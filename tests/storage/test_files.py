@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, with disks that refuse at every step."""
+"""Atomic files and folders, with errors injected at every step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_file_is_written_and_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_refused_file_leaves_the_old_one_and_nothing_else(
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     path = tmp_path / "note.txt"
@@ -47,19 +47,19 @@ def test_a_refused_file_leaves_the_old_one_and_nothing_else(
     assert everything_in(tmp_path) == {"note.txt"}
 
 
-def test_an_interrupted_file_leaves_nothing_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_write_leaves_no_temporary_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "fsync", interrupt)
     with pytest.raises(KeyboardInterrupt):
         files.write_bytes(tmp_path / "note.txt", b"new")
     assert everything_in(tmp_path) == set()
 
 
-def test_a_file_in_no_folder_is_refused(tmp_path: Path) -> None:
+def test_a_file_in_a_missing_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="No such file or directory"):
         files.write_bytes(tmp_path / "nowhere" / "note.txt", b"")
 
 
-def test_a_folder_appears_with_its_parents_when_it_is_full(tmp_path: Path) -> None:
+def test_a_folder_appears_with_its_parents_when_it_is_complete(tmp_path: Path) -> None:
     path = tmp_path / "a" / "b" / "out"
     with files.new_folder(path) as folder:
         (folder / "one").write_text("1")
@@ -71,14 +71,14 @@ def test_a_folder_appears_with_its_parents_when_it_is_full(tmp_path: Path) -> No
     assert path.stat().st_mode & 0o777 == 0o755
 
 
-def test_an_empty_folder_may_be_there_already(tmp_path: Path) -> None:
+def test_an_empty_folder_may_exist_already(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with files.new_folder(tmp_path / "out") as folder:
         (folder / "one").write_text("1")
     assert everything_in(tmp_path) == {"out", "out/one"}
 
 
-def test_a_folder_with_content_and_a_file_are_refused_untouched(tmp_path: Path) -> None:
+def test_a_folder_with_content_and_a_file_are_refused_and_unchanged(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("keep")
     with pytest.raises(ResultError, match="exists and is not empty"), files.new_folder(tmp_path / "out"):
@@ -89,7 +89,7 @@ def test_a_folder_with_content_and_a_file_are_refused_untouched(tmp_path: Path) 
     assert (tmp_path / "out" / "mine").read_text() == "keep"
 
 
-def test_a_folder_is_replaced_when_asked(tmp_path: Path) -> None:
+def test_a_folder_is_replaced_on_request(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").write_text("old")
     with files.new_folder(tmp_path / "out", replace=True) as folder:
@@ -99,7 +99,7 @@ def test_a_folder_is_replaced_when_asked(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError("mine"), KeyboardInterrupt(), ResultError("no")])
-def test_what_goes_wrong_inside_comes_out_and_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
+def test_errors_inside_propagate_and_leave_nothing(tmp_path: Path, error: BaseException) -> None:
     def fill_and_fail() -> None:
         with files.new_folder(tmp_path / "a" / "b" / "out") as folder:
             (folder / "one").write_text("1")
@@ -123,7 +123,7 @@ def nth_rename_refuses(count: int) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_a_refused_swap_leaves_the_old_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+def test_a_failed_swap_leaves_the_old_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").write_text("old")
     monkeypatch.setattr(os, "rename", nth_rename_refuses(count))
@@ -133,7 +133,7 @@ def test_a_refused_swap_leaves_the_old_folder(tmp_path: Path, monkeypatch: pytes
     assert everything_in(tmp_path) == {"out", "out/old"}
 
 
-def test_a_refused_parent_takes_the_parents_made_before_it_away(
+def test_a_failed_parent_removes_the_parents_created_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mkdir = Path.mkdir
@@ -149,7 +149,7 @@ def test_a_refused_parent_takes_the_parents_made_before_it_away(
     assert everything_in(tmp_path) == set()
 
 
-def test_places_where_no_folder_can_be_are_storage_errors(tmp_path: Path) -> None:
+def test_impossible_paths_are_storage_errors(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "file" / "out", tmp_path / ("n" * 300)):
         with pytest.raises(StorageError, match="cannot write"), files.new_folder(path):

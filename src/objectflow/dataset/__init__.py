@@ -1,1 +1,1 @@
-"""Generated data on disk: the row format, shards and their manifest, checks and pictures of them."""
+"""Generated data sets: row format, shards and manifest, batches, targets and augmentation, checks and pictures."""

@@ -1,4 +1,4 @@
-"""Variations of a batch, on its device, drawn anew at every use; and what a network is shown of it: sensor noise."""
+"""Augmentation of batches on their device, drawn anew at every use, and network inputs with sensor noise."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from objectflow.sensors.sensor import SENSORS, ColorSensor, observe_color, obser
 
 @dataclass(frozen=True)
 class AugmentSettings:
-    """What is drawn anew whenever a pair is used. Everything at 0 (zoom 1, sensors off) leaves batches as they are.
+    """Random variations of pairs. With everything at 0 (zoom 1, sensors off), batches stay unchanged.
 
     Raises:
-        DatasetError: a share outside of 0..1, a zoom below 1, or a negative amount.
+        DatasetError: a share outside 0..1, a zoom below 1, or a negative amount.
     """
 
     flip: float = 0.5
-    """Share of pairs that are mirrored left to right."""
+    """Share of pairs that are mirrored left to right, 0..1."""
     swap: float = 0.5
-    """Share of pairs whose frames trade places, their motions inverted."""
+    """Share of pairs whose frames are swapped and motions inverted, 0..1."""
     zoom: float = 1.3
-    """Largest enlargement; each pair's lies between 1 and this, its part of the image anywhere."""
+    """Maximum zoom factor; each pair gets a factor between 1 and this and a crop at a random position."""
     brightness: float = 0.2
-    """Largest change of brightness, relative; as are contrast and saturation."""
+    """Maximum relative change of brightness; the same for contrast and saturation."""
     contrast: float = 0.2
     saturation: float = 0.3
     hue: float = 0.1
-    """Radians: largest turn of hue."""
+    """Radians: maximum rotation of hue."""
     frame_jitter: float = 0.15
-    """How much more each frame's colours change on their own, relative to what the pair shares."""
+    """Colour change of each frame alone, relative to the change that both frames of a pair share."""
     depth_sensor: float = 0.9
-    """Share of the groups of pairs whose depth a sensor measures. The rest keep exact depth."""
+    """Share of the groups of pairs whose depth passes through a sensor model, 0..1; the others keep exact depth."""
     kinds: tuple[str, ...] = ("structured-light", "time-of-flight", "stereo")
-    """Which depth sensors are drawn from, by name. "passive-stereo" is left out: it loses most of plain surfaces."""
+    """Names of the depth sensors to draw from. "passive-stereo" is excluded: it misses most untextured surfaces."""
     color_sensor: float = 0.9
-    """Share of the groups of pairs whose colour has exposure, white balance, blur and noise of a camera."""
+    """Share of the groups of pairs whose colour has a camera's exposure, white balance, blur and noise, 0..1."""
     strength: tuple[float, float] = (0.5, 1.5)
-    """How bad depth sensors are, relative to their published figures."""
+    """Range of the noise of depth sensors, relative to the published figures."""
     sensors: int = 2
-    """Groups of a batch, each with sensors of its own."""
+    """Number of groups in a batch; each group has its own sensors."""
 
     def __post_init__(self) -> None:
         for name in ("flip", "swap", "depth_sensor", "color_sensor"):
@@ -66,16 +66,16 @@ class AugmentSettings:
 
     @classmethod
     def nothing(cls) -> AugmentSettings:
-        """Batches as they are, frames exact: what validation looks at."""
+        """No variation and exact frames, as for validation."""
         return cls(0, 0, 1, 0, 0, 0, 0, 0, depth_sensor=0, color_sensor=0)
 
 
 class Inputs(NamedTuple):
-    """What a network is shown, in the order of its arguments, and the exact current points, for targets and losses.
+    """The inputs of a network, in the order of its arguments, and the exact current points for targets and losses.
 
     Attributes:
         prev_color, curr_color: (B, 3, H, W) float32, RGB in 0..1.
-        prev_points, curr_points: (B, 3, H, W) metres as the sensor has them, NaN where it has none.
+        prev_points, curr_points: (B, 3, H, W) metres as measured by the sensor, NaN where it has no depth.
         exact_points: (B, 3, H, W) metres, NaN where the stored depth is missing.
     """
 
@@ -87,11 +87,11 @@ class Inputs(NamedTuple):
 
 
 def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator) -> Batch:
-    """A variation of every pair of a batch, each drawn on its own.
+    """Vary every pair of a batch independently.
 
     Args:
         batch: exact frames, on the generator's device.
-        settings: what may change, and how much.
+        settings: kinds and ranges of the variations.
         generator: the only source of randomness.
     """
     count = len(batch)
@@ -99,7 +99,7 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
     def draw(*shape: int) -> Tensor:
         return torch.rand(count, *shape, generator=generator, device=generator.device)
 
-    # Everything is drawn, whatever is switched on: one setting does not change another's numbers.
+    # All numbers are always drawn, so that one setting does not change the random numbers of another.
     mirrored, swapped, unit, place, colors = draw(), draw(), draw(), draw(2), draw(3, 4)
     if settings.swap > 0:
         batch = swap(batch, swapped < settings.swap)
@@ -115,18 +115,18 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
 
 
 def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Generator | None) -> Inputs:
-    """Frames as a network is shown them: colours in 0..1, points of noisy depth.
+    """Network inputs of a batch: colours in 0..1, points of noisy depth.
 
-    Targets and the loss on flow come from the exact points. A pixel that the sensor lost keeps its targets: a network
-    has to say what lies there, from what lies around. X is predicted from the points that the network is shown.
+    Targets and the flow loss come from the exact points. Pixels without measured depth keep their targets: the network
+    must predict them from their surroundings. X is predicted from the measured points.
 
     Args:
         batch: exact frames.
-        settings: which sensors there are.
-        generator: on the batch's device; None leaves both colour and depth exact.
+        settings: the sensors.
+        generator: on the batch's device; None keeps colour and depth exact.
     """
     count = len(batch)
-    # Frames of a pair follow each other, so that they can share a camera's state.
+    # The two frames of a pair are adjacent, so that they can share the state of a camera.
     color = torch.stack([batch.prev_color, batch.curr_color], 1).flatten(0, 1).float() / 255
     depth = torch.stack([batch.prev_depth, batch.curr_depth], 1).flatten(0, 1)
     intrinsics = batch.intrinsics.repeat_interleave(2, 0)
@@ -144,7 +144,7 @@ def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Gen
 def _observed(
     color: Tensor, depth: Tensor, intrinsics: Tensor, settings: AugmentSettings, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Colour and depth of consecutive frames of pairs as one drawn camera has them."""
+    """Colour and depth of adjacent frames of pairs, as observed by one randomly drawn camera."""
     has_depth, has_color, kind, unit = torch.rand(4, generator=generator, device=generator.device).tolist()
     if has_depth < settings.depth_sensor:
         low, high = settings.strength

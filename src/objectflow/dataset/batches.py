@@ -1,4 +1,4 @@
-"""Batches of pairs for training: any order by row, in parts for several machines, resumed exactly at any step."""
+"""Batches of pairs for training: shuffled by row, divided among ranks, and resumable at any step."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from objectflow.storage import files
 from objectflow.typing import Int64Array
 
 CACHE_BYTES = 2 << 30
+"""Maximum size of the cache of decoded rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Pairs of exact frames with their objects' motions, from the current to the previous frame.
+    """Pairs of exact frames with the motions of their objects, from the current to the previous frame.
 
     Attributes:
         keys: of the rows, for messages.
@@ -35,8 +36,8 @@ class Batch:
         prev_depth, curr_depth: (B, H, W) float32, planar z in metres, 0 where missing.
         prev_labels, curr_labels: (B, H, W) int32, 0 = background.
         intrinsics: (B, 4) float32: fx, fy, cx, cy in pixels, of both frames.
-        table: the objects; where rows know the camera's motion, those that move.
-        camera_motion: (B, 4, 4) float32, metres: `prev_T_curr` of everything that stands still; None = the identity.
+        table: the objects; in rows with a camera motion, only the moving ones.
+        camera_motion: (B, 4, 4) float32, metres: `prev_T_curr` of the static background; None for the identity.
     """
 
     keys: tuple[str, ...]
@@ -65,11 +66,11 @@ class Batch:
 class Batches:
     """The batches of one part of a data set.
 
-    Rows come in passes, each in an order of its own, laid end to end without a gap. The joint batch of step s holds
-    the rows from place `s * batch_size * world_size` on, and each rank takes its own part of it, in order: one process
-    with the joint batch's size sees the same rows. Nothing else counts, so a run resumes by its step's number.
+    Rows come in passes, each with its own order, concatenated without a gap. The joint batch of step s starts at
+    position `s * batch_size * world_size`, and each rank takes its part in order, so that a single process with the
+    joint batch size sees the same rows. Rows depend on nothing else, so a run resumes from the number of its step.
 
-    A row that is kept costs a fraction of what reading and decoding it cost (`benchmarks/feeding.py` prints both).
+    A cached row costs a fraction of reading and decoding it (`benchmarks/feeding.py` prints both).
     """
 
     def __init__(
@@ -86,22 +87,22 @@ class Batches:
         cache_bytes: int = CACHE_BYTES,
         verify: bool = True,
     ) -> None:
-        """Check the part and make ready to read it.
+        """Check the part and prepare to read it.
 
         Args:
             shards: the part, from `open_pairs` or `open_joined`.
-            batch_size: pairs of this rank's batches.
-            size: (H, W) to which frames are resized: colour by area, depth and labels to the nearest pixel, the
-                intrinsics with them. None keeps the first row's size, which all rows must then have.
+            batch_size: pairs per batch of this rank.
+            size: (H, W) to which frames are resized with their intrinsics: colour by area, depth and labels by
+                nearest neighbour. None keeps the size of the first row, which all rows must share.
             seed: of the order.
-            workers: processes that read ahead; 0 reads in this one.
-            rank, world_size: which part of the joint batch is this process's.
-            shuffle: false takes rows as they are stored.
-            cache_bytes: rows are kept decoded in a temporary file of up to so many bytes, shared by the workers.
-            verify: compare the shards' hashes with the manifest; each rank reads its share of the files.
+            workers: processes that read ahead; 0 reads in the calling process.
+            rank, world_size: the part of the joint batch that belongs to this process.
+            shuffle: whether rows are shuffled; otherwise they come as stored.
+            cache_bytes: maximum size of a temporary file of decoded rows, shared by the workers.
+            verify: whether to compare the hashes of shards with the manifest; each rank reads its share of the files.
 
         Raises:
-            DatasetError: settings that make no batch, a shard whose hash is wrong, or a part without any object.
+            DatasetError: invalid settings, a shard with a wrong hash, or a part without any object.
         """
         if batch_size < 1 or workers < 0 or not 0 <= rank < world_size:
             raise DatasetError(
@@ -122,31 +123,31 @@ class Batches:
 
     @property
     def steps_per_pass(self) -> int:
-        """Steps after which every row has been used, on one rank or another."""
+        """Steps after which every row has been used by one of the ranks."""
         joint = self.batch_size * self.world_size
         return -(-len(self.keys) // joint)
 
     def rows(self, step: int) -> list[int]:
-        """The rows of this rank's batch at a step."""
+        """The row numbers of this rank's batch at a step."""
         first = (step * self.world_size + self.rank) * self.batch_size
         return [self._row(position) for position in range(first, first + self.batch_size)]
 
     def iterate(self, start_step: int = 0) -> Generator[Batch]:
-        """Batches from a step on, without end. Closing the iterator ends its worker processes.
+        """An endless iterator of batches from a step on. Closing it ends its worker processes.
 
         Raises:
-            DatasetError: a row that cannot be read, or a worker process that was killed.
+            DatasetError: a row cannot be read, or a worker process was killed.
         """
         return self._load(_Steps(self, start_step))
 
     def one_pass(self) -> Generator[Batch]:
-        """Every `world_size`-th row, this rank's, once, as they are stored; the last batch may be shorter."""
+        """Every `world_size`-th row, starting at this rank, once and as stored; the last batch may be shorter."""
         own = list(range(self.rank, len(self.keys), self.world_size))
         return self._load([own[i : i + self.batch_size] for i in range(0, len(own), self.batch_size)])
 
     def _row(self, position: int) -> int:
-        turn, place = divmod(position, len(self.keys))
-        return int(_order(self.seed, turn, len(self.keys))[place]) if self.shuffle else place
+        number, place = divmod(position, len(self.keys))
+        return int(_order(self.seed, number, len(self.keys))[place]) if self.shuffle else place
 
     def _load(self, steps: Sequence[list[int]] | _Steps) -> Generator[Batch]:
         loader: DataLoader[tuple[list[int], Tensor | str]] = DataLoader(
@@ -154,10 +155,10 @@ class Batches:
             batch_size=None,
             sampler=steps,
             num_workers=self.workers,
-            collate_fn=_as_it_is,
+            collate_fn=_unchanged,
             # Forked children of a process with threads may hang.
             multiprocessing_context="spawn" if self.workers else None,
-            generator=torch.Generator(),  # or torch's global one would be advanced
+            generator=torch.Generator(),  # keeps the state of the global generator
         )
         try:
             for rows, records in loader:
@@ -172,7 +173,7 @@ class Batches:
 
 
 class _Steps:
-    """Rows of step after step, without end."""
+    """The rows of one step after another, without end."""
 
     def __init__(self, batches: Batches, start: int) -> None:
         self._batches, self._start = batches, start
@@ -185,31 +186,31 @@ class _Steps:
 
 
 class _Source:
-    """What a worker process runs: a step's rows in, its records out."""
+    """Executed by a worker process: the rows of a step in, their records out."""
 
     def __init__(self, reader: RecordReader) -> None:
         self._reader = reader
 
     def __getitem__(self, rows: list[int]) -> tuple[list[int], Tensor | str]:
         try:
-            # As one tensor, which reaches the other process through shared memory.
+            # A single tensor reaches the other process through shared memory.
             return rows, torch.from_numpy(self._reader.read(rows).view(np.uint8))
         except DatasetError as error:
-            return rows, str(error)  # an exception would come out of a worker as many lines
+            return rows, str(error)  # the loader would turn an exception into a message of many lines
 
 
-def _as_it_is(value: object) -> object:
+def _unchanged(value: object) -> object:
     return value
 
 
 @lru_cache(maxsize=2)
-def _order(seed: int, turn: int, count: int) -> Int64Array:
-    """The order of one pass."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(turn,))).permutation(count)
+def _order(seed: int, number: int, count: int) -> Int64Array:
+    """The order of rows in one pass."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,))).permutation(count)
 
 
 def _unpack(keys: tuple[str, ...], records: Records) -> Batch:
-    """Records -> tensors: channels first, depth in metres, the object table cut to the batch's largest."""
+    """Records -> tensors: channels first, depth in metres, the object table as long as the longest of the batch."""
     scale = records["depth_scale"][:, None, None]
     most = max(1, int(records["count"].max()))
     present = np.arange(most) < records["count"][:, None]
@@ -236,13 +237,13 @@ def _unpack(keys: tuple[str, ...], records: Records) -> Batch:
 
 
 def _tensor(array: NDArray[Any]) -> Tensor:
-    return torch.from_numpy(array.copy(order="C"))  # NumPy leaves odd strides on dimensions of 1, torch refuses them
+    return torch.from_numpy(array.copy(order="C"))  # torch rejects the strides that NumPy gives dimensions of size 1
 
 
 def _verify(pairs: Pairs, rank: int, world_size: int) -> None:
     for path, sha256 in pairs.files()[rank::world_size]:
         if files.hash_file(path) != sha256:
-            raise DatasetError(f"{path}: its hash is not the one in {manifests.FILE}: copy the file again")
+            raise DatasetError(f"{path}: its hash differs from that in {manifests.FILE}: copy the file again")
 
 
 def _stored_size(shards: Pairs) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""Check a data set against itself, and say what is in it."""
+"""Consistency checks and statistics of a data set."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
 from objectflow.typing import Float64Array
 
-WORST = 5
-"""How many of the worst objects a report names."""
+MAX_WORST = 5
+"""Maximum number of worst objects in a report."""
 
-LEAST_PIXELS = 30
-"""Compared pixels that an object needs to be among them: a median of fewer is that of a rim or a thin edge."""
+MIN_PIXELS = 30
+"""Minimum number of compared pixels of such an object: a median of fewer describes a rim or a thin edge."""
 
 
 class Histogram:
-    """Counts of values in bins of equal width, the last one open; quantiles to a bin's width, mean exactly."""
+    """Counts of values in bins of equal width, the last one open; exact mean, quantiles to the width of a bin."""
 
     def __init__(self, width: float, bins: int) -> None:
         self.width, self.counts = width, np.zeros(bins, dtype=np.int64)
@@ -43,31 +43,25 @@ class Histogram:
 
     @property
     def count(self) -> int:
-        """How many values were added."""
+        """The number of added values."""
         return int(self.counts.sum())
 
     @property
     def mean(self) -> float:
-        """The mean of all values; NaN without any."""
+        """The mean of all values; NaN without values."""
         return self._sum / self.count if self.count else float("nan")
 
     def quantile(self, share: float) -> float:
-        """The middle of the bin below which this share of the values lies; NaN without any."""
+        """The centre of the bin that contains this quantile, 0..1; NaN without values."""
         if not self.count:
             return float("nan")
         bin_ = int(np.searchsorted(np.cumsum(self.counts), share * self.count))
         return (bin_ + 0.5) * self.width
 
-    def grouped(self, edges: list[float]) -> list[int]:
-        """Counts between the edges, and above the last; edges are multiples of the width."""
-        starts = [round(edge / self.width) for edge in edges]
-        ends = [*starts[1:], len(self.counts)]
-        return [int(self.counts[a:b].sum()) for a, b in zip(starts, ends, strict=True)]
-
 
 @dataclass(frozen=True)
 class ObjectErrors:
-    """One object's medians over the pixels that can be compared: millimetres, and grey levels."""
+    """Median errors of one object over its compared pixels: millimetres of depth, grey levels of colour."""
 
     key: str
     label: int
@@ -80,22 +74,24 @@ class ObjectErrors:
 
 @dataclass
 class CheckReport:
-    """What `check_part` found.
+    """The findings about one part of a data set.
 
     Attributes:
-        part: its name.
-        rows, hash: of the part and of the whole set.
-        rejected: scenes that were drawn anew, by reason.
-        depth_mm, reduced_depth_mm, color: errors of all compared pixels: with the raw rotation, with the
-            symmetry-reduced one, and of colour.
-        objects: objects a pair; visible: each object's pixels in the current frame.
-        displacement_cm, rotation_deg, raw_rotation_deg: of objects seen in both frames; where rows know the camera's
-            motion, of those that move, before the camera.
-        movers: objects a pair that move, where rows know the camera's motion (`objectflow.dataset.moving_objects`).
-        motionless, moving_cameras: how many of those pairs show no motion, and how many a moving camera's.
-        symmetric: how many objects have an axis of symmetry, of `objects_total`.
+        part: name of the part.
+        rows: number of rows of the part.
+        hash: of the whole data set.
+        rejected: number of rejected drafts of scenes, by reason.
+        depth_mm, reduced_depth_mm, color: errors of all compared pixels: depth with the raw rotation, depth with the
+            symmetry-reduced one, and colour.
+        objects: objects per pair.
+        visible: pixels per object in the current frame.
+        displacement_cm, rotation_deg, raw_rotation_deg: of objects visible in both frames, in the camera frame; in
+            rows with a camera motion, only of moving objects.
+        movers: moving objects per pair, of rows with a camera motion (`objectflow.dataset.moving_objects`).
+        motionless, moving_cameras: number of those pairs without a moving object, and with a moving camera.
+        symmetric: number of objects with a symmetry axis, out of `objects_total`.
         worst: the objects with the largest median depth error.
-        wrong: rows whose object table contradicts itself, with the reason.
+        wrong: contradictions in object tables, each with the key of its row.
     """
 
     part: str
@@ -119,7 +115,7 @@ class CheckReport:
     wrong: list[str] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
-        """The report as JSON-able numbers."""
+        """The report as plain JSON values."""
         spread = ("depth_mm", "reduced_depth_mm", "color", "objects", "visible", "displacement_cm", "rotation_deg")
         return {
             "part": self.part,
@@ -155,12 +151,12 @@ class CheckReport:
 def check(
     folder: Path, *, limit: int | None = None, report: Callable[[str, int, int], None] = lambda part, done, total: None
 ) -> list[CheckReport]:
-    """Verify every hash, then warp every pair by its own depth, poses and motions; one report a part.
+    """Verify every hash, then warp every pair by its own depth, poses and motions; one report per part.
 
     Args:
         folder: the data set.
-        limit: check no more than this many pairs of each part; hashes are checked all the same.
-        report: called after every pair with the part's name, pairs done, and pairs in all.
+        limit: maximum number of pairs to check in each part; all hashes are checked in any case.
+        report: called after every pair with the name of the part, the number of pairs done, and the total.
 
     Raises:
         DatasetError: no data set, or a shard whose hash differs.
@@ -182,7 +178,7 @@ def check(
 
 
 def add_pair(report: CheckReport, row: PairRow) -> None:
-    """Count one pair into a report."""
+    """Add one pair to a report."""
     report.wrong += [f"{row.key}: {reason}" for reason in contradictions(row)]
     report.objects.add(np.array([len(row.objects)]))
     report.objects_total += len(row.objects)
@@ -208,7 +204,7 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
     report.color.add(raw.color)
     for obj in both:
         mine, mine_reduced = raw.labels == obj.label, reduced.labels == obj.label
-        if min(mine.sum(), mine_reduced.sum()) >= LEAST_PIXELS:
+        if min(mine.sum(), mine_reduced.sum()) >= MIN_PIXELS:
             report.worst.append(
                 ObjectErrors(
                     key=row.key,
@@ -221,7 +217,7 @@ def add_pair(report: CheckReport, row: PairRow) -> None:
                 )
             )
     report.worst.sort(key=lambda entry: -max(entry.depth_mm, entry.reduced_depth_mm))
-    del report.worst[WORST:]
+    del report.worst[MAX_WORST:]
 
 
 def _lengths(vectors: list[Float64Array]) -> Float64Array:
@@ -229,15 +225,15 @@ def _lengths(vectors: list[Float64Array]) -> Float64Array:
 
 
 def contradictions(row: PairRow) -> list[str]:
-    """What in a row does not fit the rest of it: labels without an object, motions unlike the poses."""
+    """The contradictions within a row, such as labels without an object, or motions that differ from the poses."""
     found = []
     labels = [obj.label for obj in row.objects]
     if sorted(set(labels)) != labels:
-        found.append(f"labels {labels} are not rising")
+        found.append(f"labels {labels} are not in ascending order")
     for name, image in (("prev", row.prev_labels), ("curr", row.curr_labels)):
         stray = set(np.unique(image).tolist()) - {0} - set(labels)
         if stray:
-            found.append(f"{name}_labels have {sorted(stray)}, the object table has not")
+            found.append(f"{name}_labels contain {sorted(stray)}, the object table does not")
     if row.prev.camera != row.curr.camera:
         found.append("the two frames have different cameras")
     for obj in row.objects:
@@ -248,15 +244,15 @@ def contradictions(row: PairRow) -> list[str]:
             or np.abs(obj.center + obj.translation - obj.prev_pose[:3, 3]).max() > 1e-9
             or np.abs(moved - by_poses).max() > 1e-6
         ):
-            found.append(f"the motion of object {obj.label} is not that of its poses")
+            found.append(f"the motion of object {obj.label} differs from that of its poses")
         seen = [bool((image == obj.label).any()) for image in (row.prev_labels, row.curr_labels)]
         if obj.in_both != all(seen) or not any(seen):
-            found.append(f"object {obj.label} is not seen as in_both={obj.in_both} says")
+            found.append(f"in_both={obj.in_both} of object {obj.label} contradicts the label images")
     return found
 
 
 def _pairs(folder: Path, part: Part, manifest: Manifest) -> Iterator[PairRow]:
-    """The pairs of a part; of sequences, each frame with the one before."""
+    """The pairs of a part; in sequences, each frame with its predecessor."""
     if part.kind == "pairs":
         yield from Shards(folder, part, PairRow.from_dict, manifest)
         return

@@ -1,4 +1,4 @@
-"""Several data sets read as one: their rows one after the other."""
+"""The concatenation of several data sets."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from objectflow.errors import DatasetError
 
 
 class JoinedPairs(Sequence[PairRow]):
-    """The pairs of several parts by one number; keys carry the name of the folder that they come from."""
+    """The pairs of several parts under one numbering; keys start with the name of their folder."""
 
     def __init__(self, parts: Sequence[Shards[PairRow]]) -> None:
-        """Join.
+        """Concatenate parts.
 
         Args:
             parts: at least one.
 
         Raises:
-            DatasetError: none, or a folder twice.
+            DatasetError: no part, or the same folder twice.
         """
         folders = [part.folder.resolve() for part in parts]
         if not parts or len(set(folders)) < len(folders):
@@ -33,14 +33,14 @@ class JoinedPairs(Sequence[PairRow]):
 
     @property
     def where(self) -> str:
-        """How messages name the parts."""
+        """The parts, as named in messages."""
         return ", ".join(part.where for part in self.parts)
 
     def __len__(self) -> int:
         return self._starts[-1]
 
     def __getitem__(self, index: int) -> PairRow:  # type: ignore[override]
-        """The row of that number; negative numbers count from the end."""
+        """The row of a number; negative numbers count from the end."""
         part, own = self._locate(index)
         return part[own]
 
@@ -50,7 +50,7 @@ class JoinedPairs(Sequence[PairRow]):
         return part.raw(own)
 
     def keys(self) -> list[str]:
-        """Every row's key, in order, after its folder's name."""
+        """The keys of all rows, in order, each after the name of its folder."""
         names = [(part.folder.name, part.keys()) for part in self.parts]
         return [f"{name}/{key}" for name, keys in names for key in keys]
 
@@ -71,14 +71,14 @@ class JoinedPairs(Sequence[PairRow]):
 
 
 Pairs = Shards[PairRow] | JoinedPairs
-"""What training reads."""
+"""Training data: one part, or several."""
 
 
 def open_joined(folders: Sequence[Path], split: str) -> Pairs:
     """The pairs of one split of one or more data sets.
 
     Raises:
-        DatasetError: as `open_pairs`; a folder twice.
+        DatasetError: as for `open_pairs`, or the same folder twice.
     """
     parts = [open_pairs(folder, split) for folder in folders]
     return parts[0] if len(parts) == 1 else JoinedPairs(parts)

@@ -1,9 +1,10 @@
-"""`manifest.json`: what a data set is made of, how it was made, and the hash of every shard."""
+"""`manifest.json`: the parts of a data set, the settings they were generated with, and the hash of every shard."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +15,13 @@ from objectflow.storage.files import hash_file
 
 FILE = "manifest.json"
 VERSION = 1
-"""Of the row format and the manifest. Another one is refused, not guessed at."""
+"""Version of the row format and the manifest; other versions are refused."""
 
 Kind = Literal["pairs", "sequences"]
 SPLITS = ("train", "val", "test")
+
+_RENAMED = {"wild": "clutter"}
+"""Former names of presets, which older sets record as the preset and as the key of its settings."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +41,10 @@ class Part:
     Attributes:
         kind: "pairs" or "sequences".
         split: "train", "val" or "test".
-        rows: pairs, or frames of sequences.
-        scenes: simulated scenes.
-        views: pairs taken of one scene; 1 for sequences.
-        rejected: scenes that were drawn anew, by reason.
+        rows: number of pairs, or of frames of sequences.
+        scenes: number of simulated scenes.
+        views: pairs per scene; 1 for sequences.
+        rejected: number of rejected drafts of scenes, by reason.
         shards: in order.
     """
 
@@ -55,7 +59,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Manifest:
-    """A data set: its seed, settings and parts. `objectflow` is the version of the program that made it."""
+    """A data set: its seed, settings and parts. `objectflow` is the version that generated it."""
 
     seed: int
     settings: dict[str, Any]
@@ -65,15 +69,14 @@ class Manifest:
 
     @property
     def sha256(self) -> str:
-        """A hash of the whole data set: of its parts' shard hashes."""
-        hashes = [shard.sha256 for name in sorted(self.parts) for shard in self.parts[name].shards]
-        return hashlib.sha256("\n".join(hashes).encode()).hexdigest()
+        """The hash of the whole data set, computed from the hashes of its shards."""
+        return _hash_shards([shard for name in sorted(self.parts) for shard in self.parts[name].shards])
 
     def write(self, folder: Path) -> None:
-        """Write `manifest.json`, whole.
+        """Write `manifest.json` atomically.
 
         Raises:
-            StorageError: the disk refused.
+            StorageError: reading or writing failed.
         """
         files.write_text(folder / FILE, json.dumps(asdict(self), indent=2, sort_keys=True) + "\n")
 
@@ -82,7 +85,7 @@ class Manifest:
         """Read a data set's manifest.
 
         Raises:
-            DatasetError: no data set, an unfinished one, or one of another version.
+            DatasetError: no data set, an unfinished one, or another version.
         """
         path = folder / FILE
         try:
@@ -105,7 +108,7 @@ class Manifest:
                     f"{path}: data set version {values['version']}, this program reads {VERSION}: generate it anew"
                 )
             parts = {name: _part(part) for name, part in values["parts"].items()}
-            return cls(int(values["seed"]), dict(values["settings"]), parts, str(values["objectflow"]))
+            return cls(int(values["seed"]), current_settings(values["settings"]), parts, str(values["objectflow"]))
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise DatasetError(f"{path}: not a manifest: {error!r}") from error
 
@@ -115,8 +118,14 @@ def _part(values: dict[str, Any]) -> Part:
     return Part(**{**values, "shards": shards})
 
 
+def current_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Recorded generator settings with all presets under their current names, so that older sets compare equal."""
+    renamed = {_RENAMED.get(key, key): value for key, value in settings.items()}
+    return {key: _RENAMED.get(value, value) if key == "preset" else value for key, value in renamed.items()}
+
+
 def part_name(split: str, kind: Kind) -> str:
-    """The part's name, which its shards' names start with."""
+    """The name of a part, with which the names of its shards start."""
     return split if kind == "pairs" else f"{split}-sequences"
 
 
@@ -126,7 +135,7 @@ def shard_name(part: str, number: int, total: int) -> str:
 
 
 def verify(folder: Path, manifest: Manifest) -> int:
-    """Compare every shard's bytes with the manifest; the number of shards.
+    """Compare the hashes of all shards with the manifest; return the number of shards.
 
     Raises:
         DatasetError: a shard is missing or differs.
@@ -136,7 +145,7 @@ def verify(folder: Path, manifest: Manifest) -> int:
         for shard in part.shards:
             if hash_file(folder / shard.file) != shard.sha256:
                 raise DatasetError(
-                    f"{folder / shard.file}: its hash is not the one in {FILE}: copy the file again, "
+                    f"{folder / shard.file}: its hash differs from that in {FILE}: copy the file again, "
                     "or remove it and run the same `objectflow generate` command"
                 )
             count += 1
@@ -144,5 +153,9 @@ def verify(folder: Path, manifest: Manifest) -> int:
 
 
 def hash_part(part: Part) -> str:
-    """A hash of one part of a generated set: of its shards' hashes, so that other parts may be added."""
-    return hashlib.sha256("\n".join(shard.sha256 for shard in part.shards).encode()).hexdigest()
+    """The hash of one part, computed from the hashes of its shards; it does not change when other parts are added."""
+    return _hash_shards(part.shards)
+
+
+def _hash_shards(shards: Sequence[Shard]) -> str:
+    return hashlib.sha256("\n".join(shard.sha256 for shard in shards).encode()).hexdigest()

@@ -1,7 +1,7 @@
-"""Which objects of a pair move, where most do not: in sets with clutter and moving cameras (preset `wild`).
+"""Moving and static objects of a pair, in data sets with clutter and moving cameras (preset `clutter`).
 
-A row that holds the camera's motion also holds objects that stand still. They keep their labels and their entries in
-the table, whose motion is then the camera's, but networks and metrics take them for background.
+Rows with a camera motion also contain static objects. These keep their labels and their entries in the object table,
+with the motion of the camera, but networks and metrics treat them as background.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from objectflow import geometry
 from objectflow.dataset.schema import PairRow
 
 MIN_SHIFT, MIN_ROTATION = 0.002, np.radians(0.5)
-"""Metres and radians. An object moves if its centre shifts or it turns further than this in the world. Generated
-static objects stand exactly still, and moving ones move further (`objectflow.synth.generation.frame_pairs`)."""
+"""Metres and radians: an object moves if its displacement or rotation in the world exceeds one of these. Generated
+static objects do not move at all, and moving ones move further (`objectflow.synth.generation.frame_pairs`)."""
 
 
 def has_moved(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLike) -> bool:
-    """Whether an object moved against the world.
+    """Whether an object moved relative to the world.
 
     Args:
         prev_pose, curr_pose: (4, 4) `camera_T_object` in the two frames.
@@ -34,15 +34,15 @@ def has_moved(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLi
 
 
 def moving_labels(row: PairRow) -> frozenset[int]:
-    """The labels of the objects that count as such: those that move, or all where the row has no camera motion."""
+    """The labels of the objects that are not background: the moving ones, or all if the row has no camera motion."""
     camera = row.camera_motion
     return frozenset(
         obj.label for obj in row.objects if camera is None or has_moved(obj.prev_pose, obj.curr_pose, camera)
     )
 
 
-def without_still(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """The entries of a stored row's object table that count as objects; see `moving_labels`."""
+def without_static(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """The entries in the object table of a stored row that are not background; see `moving_labels`."""
     entries, camera = list(row["objects"]), row.get("camera_motion")
     if camera is None:
         return entries
@@ -55,5 +55,5 @@ def without_still(row: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def keep_labels(labels: NDArray[Any], kept: frozenset[int] | set[int]) -> NDArray[Any]:
-    """A label image in which only some labels are left; the others become background."""
+    """A label image with only the given labels; the others become background."""
     return np.where(np.isin(labels, list(kept)), labels, labels.dtype.type(0))

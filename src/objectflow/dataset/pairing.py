@@ -1,4 +1,4 @@
-"""Two frames of one scene make a pair: the object table with motions back in time, reduced by symmetry."""
+"""Pairs from two frames of one scene: the object table, with motions back in time, reduced by symmetry."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def pair_objects(
     prev_labels: LabelImage,
     curr_labels: LabelImage,
 ) -> tuple[PairObject, ...]:
-    """The object table of a pair: every object that is seen in at least one of the frames.
+    """The object table of a pair: every object that is visible in at least one of the frames.
 
     Args:
         prev, curr: all objects of the scene in each frame, in the same order, poses in the camera frame.
@@ -39,10 +39,15 @@ def pair_objects(
 
 
 def pair_of_frames(prev: SequenceRow, curr: SequenceRow, key: str | None = None, scene: str | None = None) -> PairRow:
-    """Two frames of a sequence as a pair; key "test-000003/30" where none is given, for its current frame 30.
+    """Combine two frames of a sequence into a pair.
+
+    Args:
+        prev, curr: the frames.
+        key: of the pair; by default "test-000003/30" for the current frame 30.
+        scene: by default the name of the sequence.
 
     Raises:
-        DatasetError: frames of two sequences.
+        DatasetError: frames of different sequences.
     """
     if prev.sequence != curr.sequence:
         raise DatasetError(f"frames of sequences {prev.sequence} and {curr.sequence} make no pair")

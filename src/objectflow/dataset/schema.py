@@ -1,4 +1,4 @@
-"""What one row of a data set holds, and its Parquet form (pairs, and frames of sequences)."""
+"""The rows of a data set (pairs, and frames of sequences) and their Parquet form."""
 
 from __future__ import annotations
 
@@ -6,35 +6,38 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage.images import decode_png, encode_png
 from objectflow.typing import Float64Array, LabelImage
 
 DEPTH_SCALE = 10_000.0
-"""Depth units a metre: steps of 0.1 mm up to 6.55 m; what lies beyond is stored as missing."""
+"""Depth units per metre: steps of 0.1 mm up to 6.55 m; larger depth is stored as missing."""
+PNG_COMPRESSION = 3
+"""zlib level of stored images, 0..9. It determines the bytes of a set, so it is part of the format."""
+IMAGES = ("color", "depth", "labels")
+"""Image columns of a frame, without the prefix of the frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class PairObject:
-    """One object of a pair: camera frame, metres and radians.
+    """One object of a pair, in the camera frame, in metres and radians.
 
     Attributes:
         label: its value in both label images.
-        category, model: what it is, for example "mug" and "mug-00012".
+        category, model: for example "mug" and "mug-00012".
         center: (3,) X, the object's centre in the current frame.
         translation: (3,) T, from the current centre to the previous one.
         rotation_vector: (3,) R as axis-angle, reduced by the object's symmetry: `P_prev = R (P_curr - X) + X + T`.
-        raw_rotation_vector: (3,) the same before the reduction.
-        symmetry: its axes, as unit vectors in the *object* frame, which the poses take to the camera; may be empty.
+        raw_rotation_vector: (3,) R before the reduction.
+        symmetry: its axes, as unit vectors in the *object* frame; may be empty.
         prev_pose, curr_pose: (4, 4) `camera_T_object`.
-        in_both: seen (a pixel or more) in both frames; an object of a row is seen in one at least.
+        in_both: whether it is visible (at least one pixel) in both frames; every object is visible in at least one.
     """
 
     label: int
@@ -50,7 +53,7 @@ class PairObject:
     in_both: bool
 
     def prev_T_curr(self, *, raw: bool = False) -> Float64Array:
-        """(4, 4) the object's motion back in time, with the reduced or the raw rotation."""
+        """(4, 4) motion of the object back in time, with the reduced or the raw rotation."""
         R = geometry.so3_exp(self.raw_rotation_vector if raw else self.rotation_vector)
         return geometry.make_transform(R, self.center + self.translation - R @ self.center)
 
@@ -90,7 +93,7 @@ class PairObject:
 
 @dataclass(frozen=True, eq=False)
 class FrameObject:
-    """One object of a sequence's frame. `pose` is (4, 4) `camera_T_object`; the rest as in `PairObject`."""
+    """One object in a frame of a sequence. `pose` is (4, 4) `camera_T_object`; the rest is as in `PairObject`."""
 
     label: int
     category: str
@@ -122,18 +125,17 @@ class FrameObject:
 
 @dataclass(frozen=True, eq=False)
 class PairRow:
-    """A pair of frames with its truth.
+    """A pair of frames with its ground truth.
 
     Attributes:
         key: unique in its data set, for example "train-000012" ("train-000012-3" for the fourth pair of a scene).
-        scene: rows of one scene share it ("train-000012"): such pairs are siblings, not independent samples.
+        scene: shared by the rows of one scene ("train-000012"), which are not independent samples.
         prev, curr: the frames.
         prev_labels, curr_labels: (H, W) int32, 0 = background.
         objects: in order of label.
-        camera_motion: (4, 4) `prev_T_curr` of everything that stands still, the identity before a camera that does
-            too. Where it is given, objects that move with it are background (see
-            `objectflow.dataset.moving_objects`); None, as in the paper's data: the camera is still, and every
-            object counts.
+        camera_motion: (4, 4) `prev_T_curr` of the static background; the identity for a static camera. If it is
+            given, static objects count as background (see `objectflow.dataset.moving_objects`). None, as in the
+            paper's data: the camera is static, and no object counts as background.
     """
 
     key: str
@@ -146,7 +148,7 @@ class PairRow:
     camera_motion: Float64Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """The row as Parquet holds it: images as PNG bytes."""
+        """The row in its Parquet form, with images as PNG bytes."""
         return {
             "key": self.key,
             "scene": self.scene,
@@ -159,7 +161,7 @@ class PairRow:
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any], *, where: str = "row") -> PairRow:
-        """The inverse of `to_dict`, up to the rounding of depth to 0.1 mm.
+        """The inverse of `to_dict`, up to rounding of depth to 0.1 mm.
 
         Raises:
             DatasetError: a column is missing or broken; the message starts with `where`.
@@ -176,11 +178,11 @@ class PairRow:
 
 @dataclass(frozen=True, eq=False)
 class SequenceRow:
-    """One frame of a sequence with its truth; the rows of a sequence follow each other in order of time.
+    """One frame of a sequence with its ground truth; the rows of a sequence are adjacent and in order of time.
 
     Attributes:
         sequence: for example "test-sequence-000003".
-        frame: the simulation's frame number, at 60 Hz.
+        frame: frame number of the simulation, at 60 Hz.
         image: colour and depth.
         labels: (H, W) int32, 0 = background.
         objects: all objects of the sequence, in order of label.
@@ -193,7 +195,7 @@ class SequenceRow:
     objects: tuple[FrameObject, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """The row as Parquet holds it: images as PNG bytes."""
+        """The row in its Parquet form, with images as PNG bytes."""
         return {
             "sequence": self.sequence,
             "frame": self.frame,
@@ -204,7 +206,7 @@ class SequenceRow:
 
     @classmethod
     def from_dict(cls, row: Mapping[str, Any], *, where: str = "row") -> SequenceRow:
-        """The inverse of `to_dict`, up to the rounding of depth to 0.1 mm.
+        """The inverse of `to_dict`, up to rounding of depth to 0.1 mm.
 
         Raises:
             DatasetError: a column is missing or broken; the message starts with `where`.
@@ -226,40 +228,21 @@ def _frame_columns(frame: RgbdFrame, labels: LabelImage, prefix: str) -> dict[st
     if labels.min(initial=0) < 0 or labels.max(initial=0) > np.iinfo(np.uint8).max:
         raise DatasetError(f"{frame.name}: labels must lie in 0..255")
     return {
-        f"{prefix}color": _png(frame.color[..., ::-1]),
-        f"{prefix}depth": _png(units.astype(np.uint16)),
-        f"{prefix}labels": _png(labels.astype(np.uint8)),
+        f"{prefix}color": encode_png(frame.color, compression=PNG_COMPRESSION),
+        f"{prefix}depth": encode_png(units.astype(np.uint16), compression=PNG_COMPRESSION),
+        f"{prefix}labels": encode_png(labels.astype(np.uint8), compression=PNG_COMPRESSION),
     }
 
 
 def _frame_from(row: Mapping[str, Any], prefix: str) -> tuple[RgbdFrame, LabelImage]:
     camera = Camera.from_dict(row["camera"])
-    color = _decode(row[f"{prefix}color"], f"{prefix}color")[..., ::-1]
-    depth = _decode(row[f"{prefix}depth"], f"{prefix}depth").astype(np.float32)
-    labels = _decode(row[f"{prefix}labels"], f"{prefix}labels").astype(np.int32)
-    depth /= np.float32(row["camera"]["depth_scale"])
+    color, depth, labels = (decode_png(row[name], name) for name in (f"{prefix}{one}" for one in IMAGES))
+    metres = depth.astype(np.float32) / np.float32(row["camera"]["depth_scale"])
     name = str(row.get("key") or f"{row.get('sequence')}/{row.get('frame')}")
-    frame = RgbdFrame(color=np.ascontiguousarray(color, dtype=np.uint8), depth=depth, camera=camera, name=name)
+    frame = RgbdFrame(color=color, depth=metres, camera=camera, name=name)
     if labels.shape != depth.shape:
         raise DatasetError(f"{prefix}labels are {labels.shape}, depth is {depth.shape}")
-    return frame, labels
-
-
-def _png(image: NDArray[Any]) -> bytes:
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image), [cv2.IMWRITE_PNG_COMPRESSION, 3])
-    if not done:
-        raise DatasetError("an image cannot be encoded as PNG")
-    return data.tobytes()
-
-
-def _decode(data: bytes, name: str) -> NDArray[Any]:
-    # OpenCV fills the missing rows of a cut-off PNG with zeros and says nothing.
-    if data[-8:-4] != b"IEND":
-        raise DatasetError(f"{name} is not a whole PNG")
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise DatasetError(f"{name} cannot be decoded")
-    return np.asarray(image)
+    return frame, labels.astype(np.int32)
 
 
 def _camera_to_dict(camera: Camera) -> dict[str, float]:

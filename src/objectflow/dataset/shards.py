@@ -1,4 +1,4 @@
-"""Parquet shards: written whole and always the same bytes, read with random access."""
+"""Parquet shards: written atomically and with reproducible bytes, read with random access."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Generic, Literal
 
 from objectflow.dataset.manifest import Kind, Manifest, Part, part_name
-from objectflow.dataset.schema import PairRow, Row, SequenceRow
+from objectflow.dataset.schema import IMAGES, PairRow, Row, SequenceRow
 from objectflow.errors import DatasetError, MissingExtraError, StorageError
 from objectflow.storage import files
 
@@ -17,28 +17,29 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise MissingExtraError("data sets need pyarrow, which objectflow brings: pip install pyarrow") from error
+    raise MissingExtraError("data sets need pyarrow, a dependency of objectflow: pip install pyarrow") from error
 
-ROWS_A_GROUP = 8
-"""Rows that are read together. Small, so that one row out of order does not cost a whole shard."""
+ROWS_PER_GROUP = 8
+"""Number of rows that are read together; small, so that random access does not read whole shards."""
 
 METADATA_KEY = b"objectflow"
+"""Key of the metadata of `write_shard` in the Parquet schema."""
 
 
 def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metadata: Mapping[str, Any]) -> None:
-    """Write rows (as `PairRow.to_dict` or `SequenceRow.to_dict` give them) so that the file appears whole.
+    """Write rows, given by `PairRow.to_dict` or `SequenceRow.to_dict`, as a Parquet file, atomically.
 
-    The bytes depend on the arguments and on pyarrow's version alone: images are compressed already, so nothing
-    else is.
+    The bytes depend only on the arguments and on the version of pyarrow. Columns are not compressed, since the images
+    already are.
 
     Args:
-        path: the shard's file.
+        path: of the shard.
         rows: in order.
         kind: which of the two row forms.
-        metadata: JSON-able; comes back from `read_metadata`.
+        metadata: plain JSON; returned by `read_metadata`.
 
     Raises:
-        StorageError: the disk refused; nothing is left behind.
+        StorageError: writing failed; no temporary file is left behind.
     """
     schema = _SCHEMAS[kind]
     if any("camera_motion" in row for row in rows):
@@ -48,7 +49,7 @@ def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metad
     pq.write_table(
         pa.Table.from_pylist(list(rows), schema=schema),
         buffer,
-        row_group_size=ROWS_A_GROUP,
+        row_group_size=ROWS_PER_GROUP,
         compression="none",
         use_dictionary=False,
         write_statistics=False,
@@ -57,10 +58,10 @@ def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metad
 
 
 def read_metadata(path: Path) -> tuple[dict[str, Any], int]:
-    """What `write_shard` was given as metadata, and the number of rows.
+    """The metadata that `write_shard` stored, and the number of rows.
 
     Raises:
-        DatasetError: not a shard of this program.
+        DatasetError: not a shard of objectflow.
     """
     file = _open(path)
     try:
@@ -71,9 +72,9 @@ def read_metadata(path: Path) -> tuple[dict[str, Any], int]:
 
 
 class Shards(Sequence[Row], Generic[Row]):
-    """The rows of one part of a data set, by number; opens files when they are first needed.
+    """The rows of one part of a data set, by number; files are opened when they are first needed.
 
-    Can be pickled and handed to worker processes: each opens its own files.
+    Instances can be pickled and passed to worker processes, each of which opens its own files.
     """
 
     def __init__(self, folder: Path, part: Part, decode: Callable[..., Row], manifest: Manifest) -> None:
@@ -86,7 +87,7 @@ class Shards(Sequence[Row], Generic[Row]):
                 raise DatasetError(f"{path}: missing, though manifest.json lists it: copy the folder again")
             if path.stat().st_size != shard.bytes:
                 raise DatasetError(
-                    f"{path}: {path.stat().st_size} bytes, manifest.json says {shard.bytes}: copy the file again"
+                    f"{path}: {path.stat().st_size} bytes, {shard.bytes} in manifest.json: copy the file again"
                 )
             self._starts.append(self._starts[-1] + shard.rows)
         self._open: dict[int, Any] = {}
@@ -94,28 +95,28 @@ class Shards(Sequence[Row], Generic[Row]):
 
     @property
     def where(self) -> str:
-        """How messages name the part."""
+        """The part, as named in messages."""
         return f"{self.folder}: split {self.part.split!r}"
 
     def files(self) -> list[tuple[Path, str]]:
-        """Every shard's path, and the hash that it should have."""
+        """The path of every shard, and the hash that the manifest states."""
         return [(self.folder / shard.file, shard.sha256) for shard in self.part.shards]
 
     def __len__(self) -> int:
         return self._starts[-1]
 
     def __getitem__(self, index: int) -> Row:  # type: ignore[override]
-        """The row of that number; negative numbers count from the end."""
+        """The row of a number; negative numbers count from the end."""
         position, where = self._locate(index)
         return self._decode(self._read(position), where=where)
 
     def raw(self, index: int) -> tuple[dict[str, Any], str]:
-        """The row's columns as they are stored, images as PNG bytes; and how messages name the row."""
+        """The stored columns of a row, with images as PNG bytes, and the name of the row in messages."""
         position, where = self._locate(index)
         return self._read(position), where
 
     def keys(self) -> list[str]:
-        """Every row's key ("sequence/frame" of sequences), in order; reads no images."""
+        """The keys of all rows ("sequence/frame" for sequences), in order, without reading images."""
         keys: list[str] = []
         for number in range(len(self.part.shards)):
             if self.part.kind == "pairs":
@@ -125,23 +126,16 @@ class Shards(Sequence[Row], Generic[Row]):
                 keys += [f"{row['sequence']}/{row['frame']}" for row in table]
         return keys
 
-    def objects(self) -> list[list[dict[str, Any]]]:
-        """Every row's object table as plain dictionaries, in order; reads no images."""
-        tables: list[list[dict[str, Any]]] = []
-        for number in range(len(self.part.shards)):
-            tables += self._file(number).read(columns=["objects"]).column("objects").to_pylist()
-        return tables
-
     def count_objects(self) -> int:
-        """The entries of all rows' object tables together; reads little more than them."""
+        """The total number of entries in the object tables of all rows; only the labels are read."""
         tables = [self._file(i).read(columns=["objects.list.element.label"]) for i in range(len(self.part.shards))]
         return sum(len(table.column("objects").combine_chunks().flatten()) for table in tables)
 
     def find(self, key: str) -> int:
-        """The number of the row with this key.
+        """The number of the row with a key.
 
         Raises:
-            DatasetError: there is none; the message names some that there are.
+            DatasetError: no such row; the message lists some existing keys.
         """
         keys = self.keys()
         if key not in keys:
@@ -159,7 +153,7 @@ class Shards(Sequence[Row], Generic[Row]):
 
     def _read(self, position: int) -> dict[str, Any]:
         number = next(i for i in range(len(self.part.shards)) if position < self._starts[i + 1])
-        group, offset = divmod(position - self._starts[number], ROWS_A_GROUP)
+        group, offset = divmod(position - self._starts[number], ROWS_PER_GROUP)
         if self._group is None or self._group[:2] != (number, group):
             try:
                 table = self._file(number).read_row_group(group)
@@ -180,7 +174,7 @@ def open_pairs(folder: str | Path, split: str = "train") -> Shards[PairRow]:
     """The pairs of one split.
 
     Raises:
-        DatasetError: no data set, no such split in it, or a shard that is missing or of another size.
+        DatasetError: no data set, no such split, or a shard that is missing or of another size.
     """
     manifest, part = _part(Path(folder), split, "pairs")
     return Shards(Path(folder), part, PairRow.from_dict, manifest)
@@ -190,7 +184,7 @@ def open_sequences(folder: str | Path, split: str = "test") -> Shards[SequenceRo
     """The frames of one split's sequences, sequence after sequence.
 
     Raises:
-        DatasetError: no data set, no such split in it, or a shard that is missing or of another size.
+        DatasetError: no data set, no such split, or a shard that is missing or of another size.
     """
     manifest, part = _part(Path(folder), split, "sequences")
     return Shards(Path(folder), part, SequenceRow.from_dict, manifest)
@@ -235,17 +229,16 @@ _PAIR_OBJECT: Any = pa.struct(
     + [("symmetry", _SYMMETRY), ("prev_pose", _VECTOR), ("curr_pose", _VECTOR), ("in_both", pa.bool_())]
 )
 _FRAME_OBJECT: Any = pa.struct([*_IDENTITY, ("symmetry", _SYMMETRY), ("pose", _VECTOR)])
-_IMAGES = ("color", "depth", "labels")
 
 _SCHEMAS: dict[Literal["pairs", "sequences"], Any] = {
     "pairs": pa.schema(
         [("key", pa.string()), ("scene", pa.string())]
-        + [(f"{frame}_{image}", pa.binary()) for frame in ("prev", "curr") for image in _IMAGES]
+        + [(f"{frame}_{image}", pa.binary()) for frame in ("prev", "curr") for image in IMAGES]
         + [("camera", _CAMERA), ("objects", pa.list_(_PAIR_OBJECT))]
     ),
     "sequences": pa.schema(
         [("sequence", pa.string()), ("frame", pa.int32())]
-        + [(image, pa.binary()) for image in _IMAGES]
+        + [(image, pa.binary()) for image in IMAGES]
         + [("camera", _CAMERA), ("objects", pa.list_(_FRAME_OBJECT))]
     ),
 }

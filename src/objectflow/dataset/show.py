@@ -1,4 +1,4 @@
-"""Draw a row: both frames with the objects' centres, depth, labels, scene flow."""
+"""Pictures of rows: colour with the centres of objects, depth, labels and scene flow."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from objectflow.geometry.camera import Camera
 from objectflow.typing import Float32Array, LabelImage, UInt8Array
 
 TITLE = 18
-"""Pixels: height of the line above each panel."""
+"""Pixels: height of the title above each panel."""
 
 PANEL_WIDTH = 320
-"""Pixels: smaller images are enlarged to this width, so that text and centres stay readable."""
+"""Pixels: smaller images are enlarged to this width, so that text and centres are legible."""
 
 
 def draw_pair(row: PairRow) -> UInt8Array:
-    """A pair as a picture (h, w, 3) uint8 RGB: colour, depth and labels of both frames, flow, and how far things went.
+    """Draw a pair (h, w, 3) uint8 RGB: colour, depth and labels of both frames, scene flow and its length.
 
-    Crosses are centres of objects seen in both frames; lines on the current frame lead to where they were.
+    Crosses are the centres of objects visible in both frames; lines on the current frame lead to the previous centres.
     """
     near, far = _range([row.prev, row.curr])
     motions = {obj.label: obj.prev_T_curr(raw=True) for obj in row.objects if obj.in_both}
@@ -63,7 +63,7 @@ def draw_pair(row: PairRow) -> UInt8Array:
 
 
 def draw_frames(rows: Sequence[SequenceRow]) -> UInt8Array:
-    """Frames of a sequence below each other (h, w, 3) uint8 RGB: colour with centres, depth, labels."""
+    """Draw frames of a sequence, one per line (h, w, 3) uint8 RGB: colour with centres, depth, labels."""
     near, far = _range([row.image for row in rows])
     panels = []
     for row in rows:
@@ -80,7 +80,7 @@ def draw_frames(rows: Sequence[SequenceRow]) -> UInt8Array:
 
 
 def label_color(label: int) -> tuple[int, int, int]:
-    """A colour for a label, far from those of the labels near it: hues turn by the golden angle."""
+    """The RGB colour of a label. Hues advance by the golden angle, so that adjacent labels differ strongly."""
     red, green, blue = colorsys.hsv_to_rgb(label * 0.381966 % 1, 0.9 if label % 2 else 0.6, 1.0)
     return int(255 * red), int(255 * green), int(255 * blue)
 
@@ -106,7 +106,7 @@ def _with_centers(frame: RgbdFrame, centers: NDArray[Any], tails: NDArray[Any] |
 
 
 def _draw_depth(depth: Float32Array, near: float, far: float) -> UInt8Array:
-    """Near is bright; missing is black."""
+    """Near pixels are bright, missing depth is black."""
     level = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
     picture = cv2.applyColorMap((255 * level).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1].copy()
     picture[depth == 0] = 0
@@ -122,7 +122,7 @@ def _draw_labels(labels: LabelImage, color: UInt8Array | None) -> UInt8Array:
 
 
 def _draw_flow(flow: Float32Array, reach: float) -> UInt8Array:
-    """Red, green and blue for motion along x, y and z; grey is none, black is missing depth."""
+    """Red, green and blue encode motion along x, y and z; grey is no motion, black is missing depth."""
     picture = 127.5 + 127.5 * np.clip(np.nan_to_num(flow) / reach, -1, 1)
     picture[np.isnan(flow).any(-1)] = 0
     return _enlarge(picture.astype(np.uint8), smooth=False)
@@ -134,7 +134,7 @@ def _draw_length(length: Float32Array, reach: float) -> UInt8Array:
 
 
 def _range(frames: Sequence[RgbdFrame]) -> tuple[float, float]:
-    """Depth range of a picture: the middle 98 percent."""
+    """Depth range of a picture in metres: the central 98 %."""
     depth = np.concatenate([frame.depth[frame.valid] for frame in frames])
     near, far = np.percentile(depth, [1, 99])
     return float(near), float(far)

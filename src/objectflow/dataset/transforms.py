@@ -1,6 +1,6 @@
-"""The single variations of a batch: mirrored, frames swapped, enlarged, other colours; geometry stays exact.
+"""The transforms of batches that augmentation combines: flip, swap, crop and recolour.
 
-Exact means: the object table still says where each point of the current frame was in the previous one.
+The geometry stays exact: the object table still maps every current point to its previous position.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from torch import Tensor
 
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.targets import ObjectTable
+from objectflow.geometry.torch_resample import sampling_grid
 from objectflow.sensors import depth_maps
 
 _LABELS = 256
-"""Labels are stored in 8 bits."""
+"""Number of label values: labels are stored in 8 bits."""
 _IMAGES = ("prev_color", "curr_color", "prev_depth", "curr_depth", "prev_labels", "curr_labels")
 
 
 def flip(batch: Batch, which: Tensor) -> Batch:
-    """Mirror some pairs left to right; (B,) bool. The scene is mirrored with them: x of X and T, y and z of Q."""
+    """Mirror the pairs selected by (B,) bool left to right, with the scene: x of X and T, y and z of Q change sign."""
 
     def mirror(values: Tensor) -> Tensor:
         return torch.where(which.view(-1, *[1] * (values.ndim - 1)), values.flip(-1), values)
@@ -37,7 +38,7 @@ def flip(batch: Batch, which: Tensor) -> Batch:
         batch.table,
         center=batch.table.center * sign(-1, 1, 1),
         translation=batch.table.translation * sign(-1, 1, 1),
-        # M R M of the mirror M: the axis is mirrored, and the turn about it goes the other way.
+        # M R M with the mirror M: the axis is mirrored, and the rotation about it is reversed.
         rotation=batch.table.rotation * sign(1, -1, -1),
     )
     images: dict[str, Any] = {name: mirror(getattr(batch, name)) for name in _IMAGES}
@@ -49,7 +50,7 @@ def flip(batch: Batch, which: Tensor) -> Batch:
 
 
 def swap(batch: Batch, which: Tensor) -> Batch:
-    """Let the frames of some pairs trade places; (B,) bool. X becomes X + T, T its opposite, R its inverse."""
+    """Swap the frames of the pairs selected by (B,) bool: X becomes X + T, T becomes -T, R becomes its inverse."""
 
     def choose(yes: Tensor, no: Tensor) -> Tensor:
         return torch.where(which.view(-1, *[1] * (yes.ndim - 1)), yes, no)
@@ -71,22 +72,22 @@ def swap(batch: Batch, which: Tensor) -> Batch:
 
 
 def crop(batch: Batch, zoom: Tensor, place: Tensor) -> Batch:
-    """Enlarge a part of every pair to the whole image's size.
+    """Enlarge a crop of every pair to the size of the image.
 
-    Colour is interpolated. Depth is the nearest pixel's, carried to the new pixel's ray along that pixel's own
-    surface: exact on planes, and no two surfaces are mixed. Labels are the nearest pixel's. Objects that are left with
-    no pixel in either frame go from the table, and those with pixels in one are no longer in both.
+    Colour is interpolated. Labels are those of the nearest pixel. Depth is that of the nearest pixel, extrapolated to
+    the ray of the new pixel along the local surface: exact on planes, without mixing surfaces. Objects with no pixel
+    in either frame are removed from the table; those with pixels in only one frame are no longer `in_both`.
 
     Args:
         batch: exact frames.
-        zoom: (B,) from 1 up.
-        place: (B, 2) in 0..1: where between the left and right, and top and bottom borders the part lies.
+        zoom: (B,) at least 1.
+        place: (B, 2) in 0..1: position of the crop between the left and right, and the top and bottom borders.
     """
     height, width = batch.curr_depth.shape[-2:]
     zoom = zoom[:, None]
     corner = place * (1 - 1 / zoom) * place.new_tensor([width, height])
     left, top = corner[:, :1], corner[:, 1:]
-    # Pixels' centres are whole numbers, so a corner lies at -0.5.
+    # Pixel centres are whole numbers, so the corner of the image lies at -0.5.
     u = (torch.arange(width, device=zoom.device) + 0.5) / zoom + left - 0.5
     v = (torch.arange(height, device=zoom.device) + 0.5) / zoom + top - 0.5
     size = (len(zoom), height, width)
@@ -94,7 +95,7 @@ def crop(batch: Batch, zoom: Tensor, place: Tensor) -> Batch:
     images: dict[str, Any] = {}
     for name in ("prev_color", "curr_color"):
         color = getattr(batch, name).float()
-        grid = torch.stack([(2 * u + 1) / width - 1, (2 * v + 1) / height - 1], -1)
+        grid = sampling_grid(u, v, height, width)
         moved = F.grid_sample(color, grid, mode="bilinear", padding_mode="border", align_corners=False)
         images[name] = moved.round().to(torch.uint8)
     column, row = u.round().clamp(0, width - 1), v.round().clamp(0, height - 1)
@@ -113,11 +114,11 @@ def crop(batch: Batch, zoom: Tensor, place: Tensor) -> Batch:
         images[name] = at(getattr(batch, name))
     focal, center = batch.intrinsics[:, :2], batch.intrinsics[:, 2:]
     intrinsics = torch.cat([zoom * focal, zoom * (center + 0.5 - corner) - 0.5], 1)
-    table = _still_seen(batch.table, images["prev_labels"], images["curr_labels"])
+    table = _with_visibility(batch.table, images["prev_labels"], images["curr_labels"])
     return replace(batch, intrinsics=intrinsics, table=table, **images)
 
 
-def _still_seen(table: ObjectTable, prev_labels: Tensor, curr_labels: Tensor) -> ObjectTable:
+def _with_visibility(table: ObjectTable, prev_labels: Tensor, curr_labels: Tensor) -> ObjectTable:
     def has_pixels(labels: Tensor) -> Tensor:
         found = torch.zeros(len(labels), _LABELS, dtype=torch.bool, device=labels.device)
         return found.scatter_(1, labels.flatten(1).long(), True).gather(1, table.label)
@@ -128,8 +129,8 @@ def _still_seen(table: ObjectTable, prev_labels: Tensor, curr_labels: Tensor) ->
 
 
 def recolor(batch: Batch, amounts: Tensor) -> Batch:
-    """Change brightness, contrast, saturation and hue by (B, 2, 4) amounts, of the previous and the current frame."""
-    # Grey and two differences of colour (YIQ): hue turns the differences, saturation scales them.
+    """Change brightness, contrast, saturation and hue by amounts (B, 2, 4), for the previous and the current frame."""
+    # In YIQ, luma and two colour differences, hue rotates the differences and saturation scales them.
     to_yiq = torch.tensor(
         [[0.299, 0.587, 0.114], [0.596, -0.274, -0.322], [0.211, -0.523, 0.312]], device=amounts.device
     )

@@ -1,4 +1,4 @@
-"""Warp a pair by its own truth: how far depth and colour of the current frame are from the previous frame's."""
+"""Depth and colour errors of the current frame, warped to the previous one by the ground truth."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.dataset.schema import PairRow
+from objectflow.geometry.resample import bilinear_corners, interpolate_corners, sample_bilinear
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
-HIDDEN = 0.02
-"""Metres: a warped point this far behind what the previous frame shows there was hidden by its own object."""
+SELF_OCCLUSION = 0.02
+"""Metres: a warped point this far behind the previous surface was occluded by its own object."""
 
-FACING = 0.1
-"""Least cosine between ray and surface, in both frames: a surface seen edge-on has no exact depth."""
+MIN_COSINE = 0.1
+"""Minimum cosine between viewing ray and surface normal, in both frames: the depth of grazing surfaces is inexact."""
 
 
 @dataclass(frozen=True, eq=False)
 class WarpErrors:
-    """Errors at the pixels of the current frame that can be compared; (N,) each.
+    """Errors at the comparable pixels of the current frame; (N,) each.
 
-    A pixel counts if its four neighbours carry its label, its surface faces the camera in both frames, and the place
-    it came from lies between four pixels of its object in the previous frame and is not hidden by that object itself.
+    A pixel is comparable if its four neighbours have the same label, its surface faces the camera in both frames, and
+    its previous position lies between four pixels of the same object and is not occluded by that object.
 
     Attributes:
-        labels: whose pixel it is.
+        labels: of the pixels.
         depth: metres, warped minus measured.
-        color: grey levels, mean absolute difference of the channels.
+        color: grey levels, mean absolute difference over the channels.
     """
 
     labels: LabelImage
@@ -36,9 +37,12 @@ class WarpErrors:
 
 
 def warp_errors(row: PairRow, *, raw: bool) -> WarpErrors:
-    """Warp every object of both frames back in time, with its raw or its symmetry-reduced rotation.
+    """Warp every object that is visible in both frames back in time.
 
-    Only the raw rotation takes colours with it: a texture may well break the symmetry of the shape.
+    Args:
+        row: the pair.
+        raw: whether to use the raw rotation instead of the symmetry-reduced one. Colour errors are meaningful only
+            with the raw one, since textures may break the symmetry of a shape.
     """
     motions = np.full((int(max(row.curr_labels.max(), row.prev_labels.max())) + 1, 4, 4), np.nan)
     for obj in row.objects:
@@ -54,39 +58,31 @@ def warp_errors(row: PairRow, *, raw: bool) -> WarpErrors:
     R, t = motions[labels, :3, :3], motions[labels, :3, 3]
     warped = np.einsum("nij,nj->ni", R, points) + t
     turned = np.einsum("nij,nj->ni", R, normals)
-    facing = (_cosine(points, normals) > FACING) & (_cosine(warped, turned) > FACING)
+    facing = (_cosine(points, normals) > MIN_COSINE) & (_cosine(warped, turned) > MIN_COSINE)
 
     place = geometry.project(warped, row.prev.camera)
     inverse, seen_color, same = _bilinear(row, place, labels)
     difference = warped[:, 2] - 1 / np.where(inverse > 0, inverse, np.nan)
-    keep = np.logical_and.reduce([facing, same, ~(difference > HIDDEN)])
+    keep = np.logical_and.reduce([facing, same, ~(difference > SELF_OCCLUSION)])
     error = np.abs(color - seen_color).mean(-1)
     return WarpErrors(labels[keep], difference[keep], error[keep])
 
 
 def _bilinear(row: PairRow, place: Float64Array, labels: LabelImage) -> tuple[Float64Array, Float64Array, BoolMask]:
-    """Inverse depth (exact on planes) and colour of the previous frame, and where all four pixels are the object's."""
+    """Inverse depth (exact on planes) and colour of the previous frame, and whether all four pixels have the label."""
     height, width = row.prev.depth.shape
-    finite = np.asarray(np.isfinite(place).all(-1))
-    corner = np.floor(np.where(finite[:, None], place, 0)).astype(np.int64)
-    u0, v0 = corner[:, 0], corner[:, 1]
-    inside = np.logical_and.reduce([finite, u0 >= 0, v0 >= 0, u0 < width - 1, v0 < height - 1])
-    corner[~inside] = 0
-    fraction = np.where(inside[:, None], place - corner, 0)
-    inverse, color, same = np.zeros(len(place)), np.zeros((len(place), 3)), inside
-    for dv in (0, 1):
-        for du in (0, 1):
-            u, v = corner[:, 0] + du, corner[:, 1] + dv
-            weight = np.abs(1 - du - fraction[:, 0]) * np.abs(1 - dv - fraction[:, 1])
-            depth = row.prev.depth[v, u].astype(np.float64)
-            same = same & (row.prev_labels[v, u] == labels) & (depth > 0)
-            inverse += weight / np.where(depth > 0, depth, np.inf)
-            color += weight[:, None] * row.prev.color[v, u]
-    return inverse, color, same
+    with np.errstate(invalid="ignore"):
+        inside = np.asarray(((place >= 0) & (place < (width - 1, height - 1))).all(-1))
+    place = np.where(inside[:, None], place, 0)
+    index, fraction = bilinear_corners(place, (height, width))
+    depth = row.prev.depth.ravel()[index].astype(np.float64)
+    same = inside & ((row.prev_labels.ravel()[index] == labels) & (depth > 0)).all(0)
+    inverse = interpolate_corners(1 / np.where(depth > 0, depth, np.inf), fraction)
+    return inverse, sample_bilinear(row.prev.color, place), same
 
 
 def _normals(points: Float64Array) -> Float64Array:
-    """(H, W, 3) unit normals towards the camera by central differences; NaN at the border and beside holes."""
+    """(H, W, 3) unit normals towards the camera by central differences; NaN at the border and next to holes."""
     normals = np.full_like(points, np.nan)
     across = points[1:-1, 2:] - points[1:-1, :-2]
     down = points[2:, 1:-1] - points[:-2, 1:-1]

@@ -1,12 +1,13 @@
-"""Cameras, rigid transforms and projection in NumPy; `torch_se3` and `torch_pinhole` are their torch forms."""
+"""Cameras, rigid transforms and projection in NumPy; `torch_se3` and `torch_pinhole` are the torch forms."""
 
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.pinhole import back_project, flow_from_motions, pixel_grid, project
+from objectflow.geometry.pinhole import back_project, back_project_pixels, flow_from_motions, pixel_grid, project
 from objectflow.geometry.se3 import (
     hat,
     inverse,
     kabsch,
     make_transform,
+    nearest_rotation,
     quaternion_from_matrix,
     rotation_angle,
     se3_exp,
@@ -19,11 +20,13 @@ from objectflow.geometry.se3 import (
 __all__ = [
     "Camera",
     "back_project",
+    "back_project_pixels",
     "flow_from_motions",
     "hat",
     "inverse",
     "kabsch",
     "make_transform",
+    "nearest_rotation",
     "pixel_grid",
     "project",
     "quaternion_from_matrix",

@@ -1,4 +1,4 @@
-"""A pinhole camera: its intrinsics, checked once, and its JSON form."""
+"""Pinhole cameras: intrinsics, checked when they are created, and their JSON form."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from objectflow.errors import CameraError, FrameError, ReaderError
 from objectflow.typing import Float64Array
@@ -17,7 +18,7 @@ from objectflow.typing import Float64Array
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without distortion; x right, y down, z forward, the first pixel's centre at (0, 0).
+    """A pinhole camera without distortion; x right, y down, z forward, centre of the top-left pixel at (0, 0).
 
     Attributes:
         width, height: image size in pixels.
@@ -65,24 +66,50 @@ class Camera:
         """The 3x3 intrinsic matrix K, in pixels."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], dtype=np.float64)
 
+    @classmethod
+    def from_matrix(cls, K: ArrayLike, size: tuple[int, int]) -> Camera:
+        """A camera from its intrinsic matrix.
+
+        Args:
+            K: (3, 3) in pixels; its skew must be 0.
+            size: (width, height) of the image in pixels.
+
+        Raises:
+            CameraError: a matrix that is no such intrinsic matrix, or values that make no camera.
+        """
+        try:
+            matrix = np.asarray(K, dtype=np.float64)
+            width, height = size
+        except (TypeError, ValueError) as error:
+            raise CameraError(f"a camera needs a 3x3 matrix and (width, height): {error}") from error
+        if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+            raise CameraError(f"K must be a finite 3x3 matrix, not of shape {matrix.shape}")
+        if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or matrix[2, 2] != 1:
+            raise CameraError("K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew")
+        (fx, _, cx), (_, fy, cy), _ = matrix.tolist()
+        return cls(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+    def __repr__(self) -> str:
+        return f"Camera({self.width}x{self.height}, fx={self.fx:g}, fy={self.fy:g}, cx={self.cx:g}, cy={self.cy:g})"
+
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera at another resolution. Pixel centres are whole, so the corner is at (-0.5, -0.5)."""
+        """The same camera at another resolution. Pixel centres are whole numbers, so the corner is at (-0.5, -0.5)."""
         sx, sy = width / self.width, height / self.height
         return Camera(
             width=width,
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            # Multiply first: a quotient rounded up would carry a principal point on the border out of the image.
+            # Multiplication comes first: a quotient rounded up would move a principal point on the border outside.
             cx=(self.cx + 0.5) * width / self.width - 0.5,
             cy=(self.cy + 0.5) * height / self.height - 0.5,
         )
 
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
-        """The camera of the image part whose first pixel is (x, y).
+        """The camera of the crop whose top-left pixel is (x, y).
 
         Raises:
-            CameraError: the part does not lie within the image or misses the principal point.
+            CameraError: the crop leaves the image or does not contain the principal point.
         """
         if x < 0 or y < 0 or x + width > self.width or y + height > self.height:
             raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
@@ -94,10 +121,10 @@ class Camera:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], *, where: str = "camera") -> Camera:
-        """Make a camera of a mapping with the six names; further names are left alone.
+        """Create a camera from a mapping with the six names; other names are ignored.
 
         Raises:
-            CameraError: a name is missing or its value is no number; the message starts with `where`.
+            CameraError: a name is missing or its value is invalid; the message starts with `where`.
         """
         missing = [name for name in ("width", "height", "fx", "fy", "cx", "cy") if name not in values]
         if missing:
@@ -109,11 +136,11 @@ class Camera:
 
     @classmethod
     def read(cls, path: str | Path) -> tuple[Camera, float | None]:
-        """Read `camera.json`: the camera, and `depth_scale` (depth units a metre) where the file has one.
+        """Read `camera.json`: the camera, and `depth_scale` (depth units per metre) or None if the file lacks it.
 
         Raises:
-            ReaderError: no such file, or not JSON.
-            CameraError: values that are missing or make no camera.
+            ReaderError: the file is missing or not JSON.
+            CameraError: missing or invalid values.
             FrameError: a depth scale that is no positive number.
         """
         path = Path(path)
@@ -134,19 +161,19 @@ class Camera:
 
 
 def check_depth_scale(scale: object, *, where: str = "") -> None:
-    """Check that a depth scale (units a metre) is a finite positive number.
+    """Check that a depth scale (units per metre) is a finite positive number.
 
     Raises:
-        FrameError: it is not; the message starts with `where`.
+        FrameError: an invalid scale; the message starts with `where`.
     """
     if isinstance(scale, bool) or not isinstance(scale, (int, float, np.integer, np.floating)):
-        raise FrameError(f"{where}depth_scale must be a number of depth units a metre, not {scale!r}")
+        raise FrameError(f"{where}depth_scale must be a number of depth units per metre, not {scale!r}")
     if not _is_finite(scale) or scale <= 0:
-        raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units a metre")
+        raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units per metre")
 
 
 def _is_finite(value: float | np.integer[Any] | np.floating[Any]) -> bool:
-    """`math.isfinite`, which knows no integers beyond the range of floats."""
+    """`math.isfinite`, extended to integers beyond the range of floats."""
     try:
         return math.isfinite(value)
     except OverflowError:

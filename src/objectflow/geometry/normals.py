@@ -1,4 +1,4 @@
-"""Surface normals of a depth image."""
+"""Surface normals of depth images."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from objectflow.typing import Float32Array
 def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN on holes and across depth edges.
 
-    A plane is fitted to inverse depth, which is linear in pixels on a plane, by box sums over 5x5 valid neighbours.
+    A linear function is fitted to the inverse depth of 5x5 valid neighbours by box sums: inverse depth is linear in
+    pixels on a plane.
     """
     valid = (depth > 0).astype(np.float32)
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     size = (5, 5)
     near = cv2.erode(np.where(depth > 0, depth, np.inf).astype(np.float32), np.ones(size))
     far = cv2.dilate(depth, np.ones(size))
-    # A tilted surface rises over five pixels too; 4% of its depth is 75 degrees for a usual lens.
+    # Depth also changes over five pixels of a tilted surface: 4 % is a tilt of 75 degrees for a common lens.
     smooth = (far - near < 0.04 * depth + 0.01) & (cv2.boxFilter(valid, -1, size) > 0.99) & (depth > 0)
     kernel = np.arange(-2, 3, dtype=np.float32)
     ones = np.ones(5, np.float32)
     slope_u = cv2.sepFilter2D(inverse, -1, kernel / 50, ones)
     slope_v = cv2.sepFilter2D(inverse, -1, ones, kernel / 50)
     rays = geometry.pixel_grid(camera)
-    # 1/z = a x + b y + c on rays (x, y, 1) is the plane with normal (a, b, c).
+    # 1/z = a x + b y + c on rays (x, y, 1) describes the plane with normal (a, b, c).
     a, b = slope_u * camera.fx, slope_v * camera.fy
     c = cv2.boxFilter(inverse, -1, size) - a * rays[..., 0] - b * rays[..., 1]
     normals = -np.stack([a, b, c], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
-    smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window would leave the image
+    smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window leaves the image there
     return np.where(smooth[..., None], normals, np.float32(np.nan)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Projection and back-projection of a pinhole camera, and the flow that rigid motions make."""
+"""Projection and back-projection of a pinhole camera, and the scene flow of rigid motions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from objectflow.typing import Float32Array, Float64Array, LabelImage
 
 
 def pixel_grid(camera: Camera) -> Float32Array:
-    """(H, W, 2) float32: rays at z = 1, `((u - cx) / fx, (v - cy) / fy)` of every pixel centre."""
+    """(H, W, 2) float32: `((u - cx) / fx, (v - cy) / fy)` of every pixel centre, the ray at z = 1."""
     x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
     return np.stack(np.meshgrid(x, y), axis=-1)
@@ -24,8 +24,15 @@ def back_project(depth: Float32Array, camera: Camera) -> Float32Array:
     return np.concatenate([pixel_grid(camera) * z[..., None], z[..., None]], axis=-1)
 
 
+def back_project_pixels(pixels: NDArray[Any], depth: NDArray[Any] | np.floating[Any], camera: Camera) -> NDArray[Any]:
+    """Pixels (..., 2) as (u, v) and their planar depth (...) in metres -> points (..., 3) in the camera frame."""
+    x = (pixels[..., 0] - camera.cx) / camera.fx * depth
+    y = (pixels[..., 1] - camera.cy) / camera.fy * depth
+    return np.stack([x, y, np.asarray(depth)], axis=-1)
+
+
 def project(points: NDArray[Any], camera: Camera) -> NDArray[Any]:
-    """Points (..., 3) -> pixels (..., 2) as (u, v); NaN for points at or behind the camera's plane."""
+    """Points (..., 3) -> pixels (..., 2) as (u, v); NaN for points at or behind the camera plane."""
     z = np.where(points[..., 2] > 1e-6, points[..., 2], np.nan)
     u = points[..., 0] / z * camera.fx + camera.cx
     v = points[..., 1] / z * camera.fy + camera.cy
@@ -42,9 +49,9 @@ def flow_from_motions(
 
     Args:
         points: (H, W, 3) metres, NaN where depth is missing.
-        labels: (H, W) int32; a label without a motion moves like the background.
+        labels: (H, W) int32; regions without a motion move like the background.
         motions: label -> (4, 4) `prev_T_curr`.
-        background_prev_T_curr: motion of everything else; None means exactly 0.
+        background_prev_T_curr: (4, 4) motion of everything else; None for a flow of exactly 0.
 
     Returns:
         (H, W, 3) float32 metres, NaN where depth is missing.
@@ -60,6 +67,6 @@ def flow_from_motions(
 
 
 def _displacement(prev_T_curr: Float64Array, points: Float32Array) -> Float32Array:
-    """(R - I) P + t: subtracting before multiplying keeps small motions exact in float32."""
+    """(R - I) P + t, which keeps small motions exact in float32."""
     A = (prev_T_curr[:3, :3] - np.eye(3)).astype(np.float32)
     return points @ A.T + prev_T_curr[:3, 3].astype(np.float32)

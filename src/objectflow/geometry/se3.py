@@ -1,6 +1,6 @@
-"""Rigid motions and the pinhole camera in NumPy: SE(3), weighted Kabsch, projection, flow from motions.
+"""Rigid motions in NumPy: SO(3), SE(3) and weighted Kabsch.
 
-Every function takes leading batch dimensions where it makes sense. Angles in radians, lengths in metres.
+Functions accept leading batch dimensions where this is useful. Angles are in radians, lengths in metres.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from objectflow.errors import GeometryError
 from objectflow.typing import BoolMask, Float64Array
 
 _SMALL_ANGLE = 1e-4
-"""Below this the series of sin and cos are exact to double precision and the quotients are not."""
+"""Radians below which the series of sin and cos are exact to double precision, while the quotients are not."""
 
 
 def hat(vector: ArrayLike) -> Float64Array:
@@ -28,7 +28,7 @@ def hat(vector: ArrayLike) -> Float64Array:
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Float64Array:
-    """Axis-angle (..., 3) in radians -> rotation matrix (..., 3, 3). Rodrigues, with its series near 0."""
+    """Axis-angle (..., 3) in radians -> rotation matrix (..., 3, 3), by Rodrigues' formula and its series near 0."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     a, b, _ = _rodrigues_coefficients(w)
     K = hat(w)
@@ -38,7 +38,7 @@ def so3_exp(rotation_vector: ArrayLike) -> Float64Array:
 def so3_log(rotation: ArrayLike) -> Float64Array:
     """Rotation matrix (..., 3, 3) -> axis-angle (..., 3) with an angle in [0, pi].
 
-    Through the quaternion of Shepperd's method, so that it is exact to rounding near 0 and near pi alike.
+    It uses the quaternion of Shepperd's method, and is therefore exact to rounding both near 0 and near pi.
     """
     q = quaternion_from_matrix(rotation)
     vector, scalar = q[..., 1:], q[..., :1]
@@ -54,7 +54,8 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Float64Array:
     R = np.asarray(rotation, dtype=np.float64)
     diagonal = np.stack([R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]], axis=-1)
     trace = diagonal.sum(-1)
-    # Four times the outer product of the quaternion with itself; the row of its largest entry is well conditioned.
+    # Four times the outer product of the quaternion with itself; the row of the largest diagonal entry is well
+    # conditioned.
     outer = np.empty((*R.shape[:-2], 4, 4))
     outer[..., 0, 0] = 1 + trace
     for i in range(3):
@@ -100,7 +101,7 @@ def _rodrigues_coefficients(w: Float64Array) -> tuple[Float64Array, Float64Array
     small = t < _SMALL_ANGLE
     safe = np.where(small, 1.0, t)
     a = np.where(small, 1 - t2 / 6, np.sin(safe) / safe)
-    # 1 - cos t loses digits; 2 sin^2(t/2) does not.
+    # 2 sin^2(t/2) keeps the digits that 1 - cos t loses.
     b = np.where(small, 0.5 - t2 / 24, 2 * np.sin(safe / 2) ** 2 / safe**2)
     c = np.where(t < 1e-2, 1 / 6 - t2 / 120 + t2 * t2 / 5040, (safe - np.sin(safe)) / safe**3)
     return a, b, c
@@ -122,7 +123,7 @@ def inverse(a_T_b: ArrayLike) -> Float64Array:
 
 
 def transform(a_T_b: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
-    """Map points (..., 3) in frame b to frame a with one (4, 4) transform; keeps the points' dtype."""
+    """Map points (..., 3) from frame b to frame a with one (4, 4) transform, in the dtype of the points."""
     T = np.asarray(a_T_b).astype(points.dtype)
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
@@ -137,15 +138,15 @@ def kabsch(
 ) -> tuple[Float64Array, BoolMask]:
     """Weighted least-squares rigid motion `prev_T_curr` of matched points; batched.
 
-    Minimises `sum w |R curr + t - prev|^2` (Kabsch 1976; the reflection guard is Umeyama 1991, equation 43).
+    It minimises `sum w |R curr + t - prev|^2` (Kabsch 1976).
 
     Args:
         curr, prev: (..., N, 3) metres.
         weights: (..., N), not negative; ones when None.
 
     Returns:
-        (..., 4, 4) transforms, and (...,) bool: False where the points do not fix the rotation (fewer than three
-        that count, or all on one line). Such a transform is still rigid and still a minimiser, one of many.
+        (..., 4, 4) transforms, and (...,) bool: whether the points determine the rotation; fewer than three points
+        of positive weight, or points on one line, do not. The transform is then one of many minimisers.
 
     Raises:
         GeometryError: shapes that do not fit, points that are not finite, or weights that are negative or not finite.
@@ -162,15 +163,25 @@ def kabsch(
     w = w / np.where(total > 0, total, 1)
     p_mean, q_mean = (w[..., None] * p).sum(-2), (w[..., None] * q).sum(-2)
     p0, q0 = p - p_mean[..., None, :], q - q_mean[..., None, :]
-    H = np.swapaxes(w[..., None] * q0, -1, -2) @ p0
-    U, S, Vt = np.linalg.svd(H)
-    sign = np.sign(np.linalg.det(U @ Vt))
-    D = np.zeros_like(H)
-    D[..., 0, 0] = D[..., 1, 1] = 1
-    D[..., 2, 2] = np.where(sign == 0, 1, sign)
-    R = U @ D @ Vt
+    R, S = nearest_rotation(np.swapaxes(w[..., None] * q0, -1, -2) @ p0)
     out = make_transform(R, q_mean - (R @ p_mean[..., None])[..., 0])
-    # Rank 2 is enough (a plane): the third axis follows from the guard. Rank 1 or 0 is not.
+    # Rank 2 (points on a plane) is sufficient: the third axis follows, since reflections are excluded.
     spread = (w[..., None] * p0**2).sum((-1, -2))
     determined = (S[..., 1] > 1e-6 * np.maximum(S[..., 0], 1e-300)) & (spread > 1e-16) & (total[..., 0] > 0)
     return out, np.asarray(determined)
+
+
+def nearest_rotation(matrix: ArrayLike) -> tuple[Float64Array, Float64Array]:
+    """The rotations nearest to matrices in the Frobenius norm: R maximises tr(R^T matrix).
+
+    Reflections are excluded as in Umeyama 1991, equation 43.
+
+    Args:
+        matrix: (..., 3, 3).
+
+    Returns:
+        (..., 3, 3) rotations, and (..., 3) singular values of the matrices, in descending order.
+    """
+    U, singular, Vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
+    U[..., 2] *= np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)[..., None]
+    return np.asarray(U @ Vt), singular

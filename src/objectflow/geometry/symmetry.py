@@ -1,7 +1,7 @@
-"""Rotational symmetry: the paper's reduction of a motion's rotation, and the axes of a mesh.
+"""Rotational symmetry: symmetry axes and the paper's reduction of rotations.
 
-Paper, appendix "Annotating Objects with Rotational Symmetry". A turn of an object's symmetry group cannot be seen, so
-of all rotations that explain a pair of frames the smallest is the truth that a network can learn.
+Source: the paper's appendix "Annotating Objects with Rotational Symmetry". Rotations of an object's symmetry group are
+invisible, so the training target is the smallest of all rotations that explain a pair of frames.
 """
 
 from __future__ import annotations
@@ -16,24 +16,24 @@ from objectflow.errors import GeometryError
 from objectflow.geometry.se3 import quaternion_from_matrix, rotation_angle, so3_exp
 from objectflow.typing import Float64Array
 
-_GAIN = 1e-9
-"""Radians by which a pass must shrink the rotation to count; below it two choices are a tie."""
+_MIN_REDUCTION = 1e-9
+"""Radians: minimum reduction of the rotation angle per pass; passes end below it."""
 
 
 @dataclass(frozen=True)
 class SymmetryAxis:
-    """One axis about which an object can turn and look the same; it passes through the origin."""
+    """A symmetry axis of an object, through the origin of the object frame."""
 
     axis: tuple[float, float, float]
     """Unit vector in the object frame."""
     order: int
-    """n >= 2 for C_n (turns by 2 pi / n), 0 for continuous (any turn)."""
+    """n >= 2 for C_n (rotations by 2 pi / n), 0 for continuous (any rotation)."""
 
 
 def reduce_motion(
     prev_R_object: ArrayLike, curr_R_object: ArrayLike, symmetry: Sequence[SymmetryAxis]
 ) -> Float64Array:
-    """The smallest rotation `prev_R_curr` (3, 3) that cannot be told from the object's own.
+    """The smallest rotation `prev_R_curr` (3, 3) that cannot be distinguished from the object's own.
 
     Args:
         prev_R_object, curr_R_object: (3, 3) object orientations in one camera or world frame.
@@ -47,11 +47,11 @@ def reduce_motion(
 def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
     """Reduce a rotation about every symmetry axis.
 
-    Each pass takes the twist about one axis to (-pi/n, pi/n], the paper's rule; passes repeat until none shrinks the
-    rotation any more. For one axis that is the paper's result. For a finite group listed with all of its axes it is
-    the smallest rotation of all, since every element of the group turns about one of them. Two special cases, where
-    the list is not the whole group: a half turn across a continuous axis may be taken about any axis across it, and
-    two continuous axes make a ball, whose rotation is not seen at all.
+    Each pass wraps the twist about every axis into (-pi/n, pi/n], which is the paper's rule; passes repeat until none
+    reduces the rotation further. For one axis this is the paper's result. For a finite group listed with all of its
+    axes it is the smallest rotation of all, since every element of the group is a rotation about one of them. Two
+    cases are special because the list is not the whole group: a half turn across a continuous axis may be about any
+    perpendicular axis, and two continuous axes make a ball, whose rotation is invisible.
 
     Args:
         raw: (3, 3) `prev_R_curr` as simulated.
@@ -59,10 +59,10 @@ def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, 
         orders: n >= 2 for C_n, 0 for continuous; one for each axis.
 
     Returns:
-        (3, 3): `raw @ g`, where g turns the object in the current frame by an element of its group.
+        (3, 3): `raw @ g`, where g rotates the object in the current frame by an element of its group.
 
     Raises:
-        GeometryError: shapes that do not fit, axes that `raw` does not map on each other, an order of 1 or below 0.
+        GeometryError: shapes that do not fit, axes that `raw` does not map onto each other, an order of 1 or below 0.
     """
     R = np.array(raw, dtype=np.float64)
     prev, curr = np.asarray(prev_axes, dtype=np.float64), np.asarray(curr_axes, dtype=np.float64)
@@ -74,7 +74,7 @@ def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, 
     if any(order < 0 or order == 1 for order in orders):
         raise GeometryError(f"symmetry orders are 0 (continuous) or at least 2, not {list(orders)}")
     if not np.allclose(curr @ R.T, prev, atol=1e-4):
-        raise GeometryError("the rotation does not take the current symmetry axes to the previous ones")
+        raise GeometryError("the rotation does not map the current symmetry axes to the previous ones")
     continuous = [axis for axis, order in zip(curr, orders, strict=True) if order == 0]
     if any(np.linalg.norm(np.cross(continuous[0], axis)) > 1e-3 for axis in continuous[1:]):
         return np.eye(3)
@@ -83,20 +83,20 @@ def reduce_rotation(raw: ArrayLike, prev_axes: ArrayLike, curr_axes: ArrayLike, 
         for axis, order in zip(curr, orders, strict=True):
             R = reduce_about_axis(R, axis, order)
         if continuous and 2 in orders:
-            R = _turn_over(R, continuous[0])
+            R = _flip_axis(R, continuous[0])
         smaller = float(rotation_angle(R))
-        if not first_pass and smaller > angle - _GAIN:
+        if not first_pass and smaller > angle - _MIN_REDUCTION:
             break
         angle = smaller
     return R
 
 
 def reduce_about_axis(rotation: Float64Array, curr_axis: Float64Array, order: int) -> Float64Array:
-    """Take the twist of `prev_R_curr` about one axis to (-pi/n, pi/n]; 0 for a continuous axis.
+    """Wrap the twist of `prev_R_curr` about one axis into (-pi/n, pi/n]; to 0 for a continuous axis.
 
     Args:
         rotation: (3, 3).
-        curr_axis: (3,) unit vector in the frame that the rotation starts from.
+        curr_axis: (3,) unit vector in the current frame.
         order: n >= 2, or 0 for continuous.
     """
     alpha = twist_angle(rotation, curr_axis)
@@ -104,31 +104,31 @@ def reduce_about_axis(rotation: Float64Array, curr_axis: Float64Array, order: in
 
 
 def twist_angle(rotation: Float64Array, curr_axis: Float64Array) -> float:
-    """The part of a rotation (3, 3) that turns about an axis, in (-pi, pi].
+    """The twist of a rotation (3, 3) about an axis, in (-pi, pi].
 
-    alpha = 2 atan((r_x q_x + r_y q_y + r_z q_z) / q_0); the paper's print has r_z q_z twice and r_y q_y missing. The
-    axis before and after the rotation give the same value, because the rotation leaves its own q where it is.
+    alpha = 2 atan((r_x q_x + r_y q_y + r_z q_z) / q_0); the printed formula has r_z q_z twice and lacks r_y q_y. The
+    axis before and after the rotation give the same value, since the rotation maps the vector part of q to itself.
     """
     q = quaternion_from_matrix(rotation)
     return float(2 * np.arctan2(curr_axis @ q[1:], q[0]))
 
 
 def wrap(alpha: float, order: int) -> float:
-    """An angle less the multiple of 2 pi / n that brings it to (-pi/n, pi/n]; 0 when the order is 0."""
+    """Wrap an angle into (-pi/n, pi/n] by a multiple of 2 pi / n; 0 for order 0."""
     if order == 0:
         return 0.0
     step = 2 * np.pi / order
-    # The small term makes the tie between both ends fall to +pi/n whatever the rounding.
+    # The small term resolves the tie between both ends to +pi/n, whatever the rounding.
     return float(alpha - step * np.ceil(alpha / step - 0.5 - 1e-12))
 
 
-def _turn_over(rotation: Float64Array, curr_axis: Float64Array) -> Float64Array:
-    """Swap the ends of a continuous axis (a half turn across it) where that makes the rotation smaller."""
+def _flip_axis(rotation: Float64Array, curr_axis: Float64Array) -> Float64Array:
+    """Swap the ends of a continuous axis (a half turn across it) where this makes the rotation smaller."""
     prev_axis = rotation @ curr_axis
     if prev_axis @ curr_axis >= 0:
         return rotation
     across = np.cross(curr_axis, prev_axis)
-    if np.linalg.norm(across) < 1e-9:  # exactly upside down: any axis across will do, and nothing is left to turn
+    if np.linalg.norm(across) < 1e-9:  # exactly upside down: the half turn undoes the whole rotation
         return np.eye(3)
     across /= np.linalg.norm(across)
     return np.asarray(rotation @ so3_exp(-np.pi * across))

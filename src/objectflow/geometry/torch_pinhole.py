@@ -10,14 +10,14 @@ from objectflow.geometry.camera import Camera
 
 
 def intrinsics(camera: Camera) -> Tensor:
-    """(4,) float32 `fx, fy, cx, cy` in pixels: what the functions below take, stacked to (B, 4)."""
+    """(4,) float32 `fx, fy, cx, cy` in pixels; the other functions take them stacked to (B, 4)."""
     return torch.tensor([camera.fx, camera.fy, camera.cx, camera.cy], dtype=torch.float32)
 
 
 def back_project(depth: Tensor, fx_fy_cx_cy: Tensor) -> Tensor:
     """Planar depth (B, 1, H, W) in metres and intrinsics (B, 4) -> points (B, 3, H, W) in the camera frame.
 
-    Missing depth (0) gives the point 0, since NaN would spoil gradients: mask with `depth > 0`.
+    Missing depth (0) gives the point 0, since NaN would propagate into gradients: mask with `depth > 0`.
 
     Raises:
         GeometryError: shapes that do not fit.
@@ -34,7 +34,7 @@ def back_project(depth: Tensor, fx_fy_cx_cy: Tensor) -> Tensor:
 def project(points: Tensor, fx_fy_cx_cy: Tensor) -> tuple[Tensor, Tensor]:
     """Points (B, 3, H, W) and intrinsics (B, 4) -> pixels (B, 2, H, W) as (u, v), and (B, 1, H, W) bool: in front.
 
-    Points at or behind the camera's plane get pixel 0 and no gradient.
+    Points at or behind the camera plane get pixel 0 and no gradient.
 
     Raises:
         GeometryError: shapes that do not fit.

@@ -1,1 +1,1 @@
-"""Where work runs: devices, pools of processes, Ray, and silenced libraries."""
+"""Execution: devices, pools of processes and Ray actors, and silencing of libraries."""

@@ -1,4 +1,4 @@
-"""Where torch computes: a device by its name, checked before any work starts."""
+"""The torch device of a name, checked before any work starts."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from objectflow.errors import MethodError
 
 
 def find_device(name: str = "auto") -> torch.device:
-    """`auto` is the first CUDA device, or the CPU where there is none; else any of torch's names, such as `cuda:1`.
+    """Find a device by its torch name, such as `cuda:1`; `auto` is the first CUDA device, or the CPU without one.
 
     Raises:
-        MethodError: no such device in this machine, or a name that torch does not know.
+        MethodError: this machine lacks the device, or torch does not know the name.
     """
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -24,8 +24,8 @@ def find_device(name: str = "auto") -> torch.device:
         there = "no CUDA device that this torch can use" if not count else f"only {count} CUDA devices"
         raise MethodError(f"device {name} asked for, but there is {there}: leave it out, or choose cpu")
     try:
-        # Devices that this build of torch lacks fail in three ways: by their driver (RuntimeError), at their first use
-        # (AssertionError, "Torch not compiled with ..."), or for want of a kernel (NotImplementedError).
+        # A device that this build of torch does not support fails in its driver (RuntimeError), at its first use
+        # (AssertionError, "Torch not compiled with ..."), or because a kernel is missing (NotImplementedError).
         torch.empty(1, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         reason = (str(error).splitlines() or ["it cannot be used"])[0]

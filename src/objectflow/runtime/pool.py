@@ -1,4 +1,4 @@
-"""Scenes made by many processes, handed on in order: the result does not depend on who made which."""
+"""Worker pools with results in the order of the jobs, whichever worker finishes first."""
 
 from __future__ import annotations
 
@@ -8,52 +8,65 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from objectflow.errors import DatasetError, ObjectflowError
-from objectflow.synth.generation.tasks import Maker, MakerFactory, SceneRows, Task
 
-AHEAD = 4
-"""Scenes a worker may be ahead of the one that is waited for; bounds the memory that finished ones take."""
+MAX_AHEAD = 4
+"""Maximum number of jobs per worker that are started ahead of the next result; bounds memory."""
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Worker = TypeVar("Worker")
+_Job_contra = TypeVar("_Job_contra", contravariant=True)
+_Result_co = TypeVar("_Result_co", covariant=True)
 
 
-class Pool(Protocol):
-    """Something that makes scenes, in order, some ahead of time."""
+class Pool(Protocol[_Job_contra, _Result_co]):
+    """A pool that runs jobs, some of them ahead of time."""
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[SceneRows]:
-        """The scenes of the tasks, in the tasks' order."""
+    def run(self, jobs: Iterable[_Job_contra]) -> Iterator[_Result_co]:
+        """The results, in the order of the jobs; jobs are drawn from the iterable a few at a time."""
         ...
 
     def close(self) -> None:
-        """End all workers; what they were about to make is dropped."""
+        """End all workers and drop their unfinished jobs."""
         ...
 
 
-class InProcess:
-    """No workers: scenes are made by the caller's own process."""
+class InProcess(Generic[Job, Result]):
+    """A pool without workers: jobs run in the calling process.
 
-    def __init__(self, factory: MakerFactory) -> None:
-        self._factory = factory
-        self._maker: Maker | None = None
-
-    def run(self, tasks: Iterable[Task]) -> Iterator[SceneRows]:
-        """See `Pool`."""
-        for task in tasks:
-            self._maker = self._maker or self._factory()
-            yield self._maker(task)
-
-    def close(self) -> None:
-        """See `Pool`."""
-
-
-class Processes:
-    """Worker processes on this machine, each with a pipe of its own.
-
-    A worker whose parent is gone, killed or not, reads the end of its pipe and ends too. (The standard library's
-    pools share one queue, whose other end the siblings keep open: their workers would wait for ever.)
+    Args:
+        factory: builds the function that runs jobs; called at the first job.
     """
 
-    def __init__(self, factory: MakerFactory, workers: int) -> None:
+    def __init__(self, factory: Callable[[], Callable[[Job], Result]]) -> None:
+        self._factory = factory
+        self._function: Callable[[Job], Result] | None = None
+
+    def run(self, jobs: Iterable[Job]) -> Iterator[Result]:
+        """See `Pool`."""
+        for job in jobs:
+            self._function = self._function or self._factory()
+            yield self._function(job)
+
+    def close(self) -> None:
+        """See `Pool`."""
+
+
+class Processes(Generic[Job, Result]):
+    """Worker processes on this machine, each with its own pipe.
+
+    A worker reads the end of its pipe when its parent exits or is killed, and then ends as well. The pools of the
+    standard library share one queue, which the sibling processes keep open, so that orphaned workers wait forever.
+
+    Args:
+        factory: builds, inside each worker, the function that runs jobs; picklable.
+        workers: number of processes.
+    """
+
+    def __init__(self, factory: Callable[[], Callable[[Job], Result]], workers: int) -> None:
         context = multiprocessing.get_context("spawn")
         self._processes: dict[Connection, multiprocessing.process.BaseProcess] = {}
         for _ in range(workers):
@@ -63,9 +76,13 @@ class Processes:
             theirs.close()
             self._processes[ours] = process
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[SceneRows]:
-        """See `Pool`."""
-        return in_order(tasks, list(self._processes), self._send, self._receive)
+    def run(self, jobs: Iterable[Job]) -> Iterator[Result]:
+        """See `Pool`.
+
+        Raises:
+            DatasetError: a worker process ended unexpectedly.
+        """
+        return in_order(jobs, list(self._processes), self._send, self._receive)
 
     def close(self) -> None:
         """See `Pool`."""
@@ -76,16 +93,16 @@ class Processes:
             process.join()
         self._processes = {}
 
-    def _send(self, worker: Connection, task: Task) -> None:
-        # A worker that died is found when its answer is read; the message about it is made there.
+    def _send(self, worker: Connection, job: Job) -> None:
+        # The death of a worker is reported by `_receive`.
         with suppress(BrokenPipeError):
-            worker.send(task)
+            worker.send(job)
 
-    def _receive(self, busy: list[Connection]) -> tuple[Connection, SceneRows]:
+    def _receive(self, busy: list[Connection]) -> tuple[Connection, Result]:
         ready = wait(busy)[0]
         worker = next(connection for connection in busy if connection is ready)
         try:
-            answer = worker.recv()
+            result = worker.recv()
         except (EOFError, ConnectionResetError):
             process = self._processes[worker]
             process.join()
@@ -93,38 +110,38 @@ class Processes:
                 f"a worker process ended (exit code {process.exitcode}; was there too little memory?): "
                 "run the same command again, with fewer --workers"
             ) from None
-        if isinstance(answer, BaseException):
-            raise answer
-        return worker, answer
+        if isinstance(result, BaseException):
+            raise result
+        return worker, result
 
 
 def in_order(
-    tasks: Iterable[Task],
-    workers: list[Any],
-    send: Callable[[Any, Task], None],
-    receive: Callable[[list[Any]], tuple[Any, SceneRows]],
-) -> Iterator[SceneRows]:
-    """Keep all workers busy and yield their results in the order of the tasks.
+    jobs: Iterable[Job],
+    workers: list[Worker],
+    send: Callable[[Worker, Job], None],
+    receive: Callable[[list[Worker]], tuple[Worker, Result]],
+) -> Iterator[Result]:
+    """Keep all workers busy and yield their results in the order of the jobs.
 
     Args:
-        tasks: what to do.
-        workers: handles, all idle.
-        send: hands a task to an idle worker.
-        receive: waits for any of the busy workers, which is then idle.
+        jobs: what to run.
+        workers: handles, hashable, all idle.
+        send: hands a job to an idle worker.
+        receive: waits for any of the busy workers, which is idle afterwards.
     """
-    numbered = enumerate(tasks)
-    idle, busy, done = list(workers), dict[Any, int](), dict[int, SceneRows]()
-    limit = AHEAD * len(workers)
+    numbered = enumerate(jobs)
+    idle, busy, done = list(workers), dict[Worker, int](), dict[int, Result]()
+    limit = MAX_AHEAD * len(workers)
     wanted, more = 0, True
     while True:
         while more and idle and len(busy) + len(done) < limit:
-            number, task = next(numbered, (-1, None))
-            if task is None:
+            following = next(numbered, None)
+            if following is None:
                 more = False
             else:
                 worker = idle.pop()
-                send(worker, task)
-                busy[worker] = number
+                send(worker, following[1])
+                busy[worker] = following[0]
         if wanted in done:
             yield done.pop(wanted)
             wanted += 1
@@ -136,26 +153,25 @@ def in_order(
             return
 
 
-def _work(connection: Connection, factory: MakerFactory) -> None:
-    """A worker's life: make what is asked for until the pipe ends."""
-    # Ctrl-C reaches the whole process group; the parent alone answers it.
+def _work(connection: Connection, factory: Callable[[], Callable[[Any], Any]]) -> None:
+    """Main loop of a worker process: run jobs until the pipe ends."""
+    # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    maker: Maker | None = None
+    function: Callable[[Any], Any] | None = None
     while True:
         try:
-            task = connection.recv()
+            job = connection.recv()
         except (EOFError, ConnectionResetError):
             return
-        answer: SceneRows | BaseException
         try:
-            maker = maker or factory()
-            answer = maker(task)
+            function = function or factory()
+            result = function(job)
         except ObjectflowError as error:
-            answer = error
+            result = error
         except Exception:
-            # The exception itself may not be picklable; its text is what a bug report needs.
-            answer = RuntimeError(f"a worker failed at {task}:\n{traceback.format_exc()}")
+            # The exception may not be picklable; its text is sufficient for a bug report.
+            result = RuntimeError(f"a worker failed at {job}:\n{traceback.format_exc()}")
         try:
-            connection.send(answer)
+            connection.send(result)
         except (BrokenPipeError, ConnectionResetError):
             return

@@ -1,40 +1,46 @@
-"""Scenes made by actors of a Ray cluster, handed on in order."""
+"""A worker pool of actors on a Ray cluster."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Generic
 
 from objectflow.errors import DatasetError, MissingExtraError
-from objectflow.runtime.pool import in_order
-from objectflow.synth.generation.tasks import Maker, MakerFactory, SceneRows, Task
+from objectflow.runtime.pool import Job, Result, in_order
 
 try:
-    # Ray changes this variable's meaning with its next version and says so at every start; 0 keeps what it does now.
+    # The next version of Ray changes the meaning of this variable and warns at every start; 0 keeps the present one.
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     import ray
 except ImportError as error:
     raise MissingExtraError('--ray needs Ray: pip install "objectflow[ray]"') from error
 
 RETRIES = 3
-"""How often a scene is tried anew after its node or process was lost. It comes out the same wherever it is made."""
+"""Number of times a job is repeated after its node or process was lost; results do not depend on where it runs."""
 
 
-class RayActors:
+class RayActors(Generic[Job, Result]):
     """Actors on a Ray cluster; objectflow must be installed on its nodes.
 
     Args:
-        factory: builds a maker in each actor.
+        factory: builds, inside each actor, the function that runs jobs; picklable.
         address: of the cluster ("auto", "ray://host:10001", "host:6379"), or "local" to start one on this machine.
-        workers: number of actors; None takes one for each CPU of the cluster.
+        workers: number of actors; None takes one per CPU of the cluster.
         cuda: share the cluster's GPUs among the actors.
 
     Raises:
         DatasetError: no cluster at this address.
     """
 
-    def __init__(self, factory: MakerFactory, address: str, workers: int | None = None, *, cuda: bool = False) -> None:
+    def __init__(
+        self,
+        factory: Callable[[], Callable[[Job], Result]],
+        address: str,
+        workers: int | None = None,
+        *,
+        cuda: bool = False,
+    ) -> None:
         self._ours = not ray.is_initialized()
         if self._ours:
             options: dict[str, Any] = {"num_cpus": workers} if address == "local" else {"address": address}
@@ -50,9 +56,13 @@ class RayActors:
         self._actors = {i: actor.remote(factory) for i in range(count)}
         self._pending: dict[Any, int] = {}
 
-    def run(self, tasks: Iterable[Task]) -> Iterator[SceneRows]:
-        """The scenes of the tasks, in the tasks' order."""
-        return in_order(tasks, list(self._actors), self._send, self._receive)
+    def run(self, jobs: Iterable[Job]) -> Iterator[Result]:
+        """See `Pool`.
+
+        Raises:
+            DatasetError: an actor was lost more than `RETRIES` times.
+        """
+        return in_order(jobs, list(self._actors), self._send, self._receive)
 
     def close(self) -> None:
         """End the actors, and the cluster if it was started here."""
@@ -62,16 +72,16 @@ class RayActors:
         if self._ours:
             ray.shutdown()
 
-    def _send(self, worker: int, task: Task) -> None:
-        self._pending[self._actors[worker].make.remote(task)] = worker
+    def _send(self, worker: int, job: Job) -> None:
+        self._pending[self._actors[worker].run.remote(job)] = worker
 
-    def _receive(self, busy: list[int]) -> tuple[int, SceneRows]:
+    def _receive(self, busy: list[int]) -> tuple[int, Result]:
         ready, _ = ray.wait(list(self._pending), num_returns=1)
         worker = self._pending.pop(ready[0])
         try:
             return worker, ray.get(ready[0])
         except ray.exceptions.RayTaskError as error:
-            # Ray wraps what the maker raised; the user shall see the maker's own line.
+            # Ray wraps the exception of the job; the user needs the original message.
             raise error.cause from error
         except ray.exceptions.RayActorError as error:
             raise DatasetError(
@@ -80,12 +90,12 @@ class RayActors:
 
 
 class _Actor:
-    """Keeps one maker, with its renderer, from scene to scene."""
+    """Keeps the function that runs jobs, with all that it has loaded, from job to job."""
 
-    def __init__(self, factory: MakerFactory) -> None:
+    def __init__(self, factory: Callable[[], Callable[[Any], Any]]) -> None:
         self._factory = factory
-        self._maker: Maker | None = None
+        self._function: Callable[[Any], Any] | None = None
 
-    def make(self, task: Task) -> SceneRows:
-        self._maker = self._maker or self._factory()
-        return self._maker(task)
+    def run(self, job: Any) -> Any:
+        self._function = self._function or self._factory()
+        return self._function(job)

@@ -1,1 +1,1 @@
-"""Files on disk: written whole or not at all, images, JSON, locks and hashes."""
+"""Files on disk: atomic writing, images, JSON, locks and hashes."""

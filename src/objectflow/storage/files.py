@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: write beside, fsync, rename."""
+"""Atomic writing of files and folders: write beside the target, fsync, rename; and file hashes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def write_bytes(path: Path, data: bytes) -> None:
     """Write a file so that `path` holds either its old content or all of `data`, even after a power cut.
 
     Raises:
-        StorageError: the disk refused (no room, no permission); nothing is left behind.
+        StorageError: writing failed (no space, no permission); no temporary file is left behind.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -42,16 +42,16 @@ def write_text(path: Path, text: str) -> None:
 
 @contextmanager
 def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
-    """Give a temporary folder to fill; rename it to `path` at the end, or remove it if anything failed.
+    """Yield a temporary folder to fill; rename it to `path` at the end, or remove it on failure.
 
     Args:
-        path: the folder to be made. It may exist if it is empty.
-        replace: an existing folder with content is swapped out and removed once the new one is in place.
-            The caller checks that its content may go.
+        path: the folder to create. It may exist if it is empty.
+        replace: whether an existing folder with content is removed once the new one is in place. The caller checks
+            that its content may be deleted.
 
     Raises:
         ResultError: `path` is a file, or a folder with content and `replace` is false.
-        StorageError: the disk refused.
+        StorageError: reading or writing failed.
     """
     path = Path(path)
     made_parents: list[Path] = []
@@ -80,7 +80,7 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 def _swap_in(temporary: Path, path: Path) -> None:
-    """Rename `temporary` to `path`; an older folder there survives until the new one has its name."""
+    """Rename `temporary` to `path`; an existing folder is kept until the new one is in place."""
     if path.is_dir() and any(path.iterdir()):
         old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
         try:
@@ -88,7 +88,7 @@ def _swap_in(temporary: Path, path: Path) -> None:
             os.rename(temporary, path)
         except BaseException:
             if path.is_dir():
-                old.rmdir()  # still empty: the older folder never left its place
+                old.rmdir()  # still empty: the first rename failed
             else:
                 os.rename(old, path)
             raise
@@ -99,7 +99,7 @@ def _swap_in(temporary: Path, path: Path) -> None:
 
 
 def _make_parents(folder: Path, made: list[Path]) -> None:
-    """Make a folder and its missing parents; append each to `made`, so that the caller can undo a half-done job."""
+    """Create a folder and its missing parents; append each to `made`, so that the caller can undo a partial result."""
     missing: list[Path] = []
     while not folder.exists():
         missing.append(folder)
@@ -128,7 +128,7 @@ def hash_file(path: Path) -> str:
 
     Raises:
         DatasetError: no such file.
-        StorageError: the disk refused.
+        StorageError: reading or writing failed.
     """
     try:
         digest = hashlib.sha256()

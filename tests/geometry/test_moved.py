@@ -1,0 +1,50 @@
+"""The rule by which a rigid motion counts as moving: by hand, at its bounds, and for batches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
+
+
+@pytest.mark.parametrize(("metres", "moving"), [(0.0, False), (0.0039, False), (0.0041, True), (1.0, True)])
+def test_a_translation_counts_above_the_tolerance(metres: float, moving: bool) -> None:
+    for direction in ([1, 0, 0], [0, -1, 0], [0.6, 0, 0.8]):
+        assert bool(is_moving(np.eye(3), metres * np.array(direction))) is moving
+
+
+@pytest.mark.parametrize(("displacement", "moving"), [(0.0039, False), (0.0041, True)])
+@pytest.mark.parametrize("lever_arm", [LEVER_ARM, 0.2])
+def test_a_rotation_counts_by_the_arc_of_its_lever_arm(displacement: float, lever_arm: float, moving: bool) -> None:
+    angle = displacement / lever_arm
+    R = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
+    assert bool(is_moving(R, np.zeros(3), lever_arm=lever_arm)) is moving
+
+
+def test_the_tolerance_itself_is_no_motion() -> None:
+    shift = np.array([0.0, 0.0, 0.004])
+    assert STATIC_DISPLACEMENT == 0.004
+    assert not is_moving(np.eye(3), shift)
+    assert not is_moving(np.eye(3), 10 * shift, 0.04)
+    assert is_moving(np.eye(3), shift, 0.0039)
+    assert is_moving(np.eye(3), shift, 0.0)
+    assert not is_moving(np.eye(3), np.zeros(3), 0.0)
+
+
+def test_translation_and_rotation_are_tested_separately() -> None:
+    """Two displacements just below the tolerance do not add up."""
+    R = Rotation.from_rotvec([0.0039 / LEVER_ARM, 0, 0]).as_matrix()
+    assert not is_moving(R, np.array([0.0039, 0, 0]))
+
+
+def test_batches() -> None:
+    rotations = Rotation.from_rotvec([[0, 0, 0], [0, 0, 0], [0, 0.1, 0], [0, 0, np.pi]]).as_matrix()
+    shifts = np.array([[0, 0, 0], [0, 0.01, 0], [0, 0, 0], [0, 0, 0]])
+    expected = [False, True, True, True]
+    assert is_moving(rotations, shifts).tolist() == expected
+    nested = is_moving(rotations.reshape(2, 2, 3, 3), shifts.reshape(2, 2, 3))
+    assert nested.shape == (2, 2)
+    assert nested.dtype == np.bool_
+    assert nested.ravel().tolist() == expected
