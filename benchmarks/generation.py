@@ -1,8 +1,8 @@
-"""Pairs a second of the generator, each stage's share, and its memory: `python benchmarks/generation.py`.
+"""Speed of the generator in pairs per second, the share of each stage, and memory: `python benchmarks/generation.py`.
 
-Everything counts from a scene's number to encoded rows; writing shards is left out. Each worker makes two scenes to
-warm up (kernels are compiled on a machine's first run, and loaded on every run) before the clock starts. The seconds
-of CPU a pair tell what a machine that is busy with other things would do without them.
+The time from a scene's number to its encoded rows is measured, without the writing of shards. Each worker first makes
+two unmeasured scenes (kernels are compiled on a machine's first run, and loaded on every run). CPU seconds per pair do
+not depend on other load of the machine.
 """
 
 from __future__ import annotations
@@ -25,44 +25,44 @@ from objectflow.synth.generation.tasks import Maker, SceneRows, Task
 from objectflow.synth.scenes.paper_scene import SceneSettings
 
 WARM_UP = 2
-"""Scenes a worker."""
+"""Number of unmeasured scenes per worker."""
 
 
 @dataclasses.dataclass
 class Settings:
-    """Times the generator on the paper's scenes."""
+    """Measures the generator on the paper's scenes."""
 
     scenes: int = 60
-    """Scenes that are timed, for each row of the table."""
+    """Number of measured scenes per row of the table."""
     workers: int = 2
-    """Processes."""
+    """Number of processes."""
     views: tuple[int, ...] = (1, 4)
-    """Pairs taken of one scene."""
+    """Number of pairs per scene."""
     samples: tuple[int, ...] = (1, 4)
-    """Colour samples a pixel."""
+    """Number of colour samples per pixel."""
     lights: tuple[int, int] = (3, 3)
-    """Lights with shadows, from and to."""
+    """Minimum and maximum number of lights."""
     memory_scenes: int = 0
-    """Make this many scenes in one process too, watch its memory, and print each figure as it comes; 1000 take a
-    core five minutes. Pictures are small there: what leaks does so by the scene, not by the pixel."""
+    """Number of scenes for the measurement of memory in one process; 1000 take five minutes on one core. Images are
+    small, because leaks are per scene, not per pixel."""
     memory_size: tuple[int, int] = (160, 120)
-    """Width and height of those pictures."""
+    """Width and height of the images in the measurement of memory, pixels."""
     time: bool = True
-    """Make the table of times; --no-time leaves memory alone."""
+    """Measure times; --no-time measures memory only."""
     device: str = "cpu"
-    """Where pictures are rendered: cpu or cuda."""
+    """Device for rendering: cpu or cuda."""
     seed: int = 0
-    """Of the scenes."""
+    """Random seed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class CountingCpu:
-    """A factory whose makers also say how many seconds of CPU a scene took."""
+    """A factory whose makers also measure the CPU seconds of each scene."""
 
     factory: PaperScenes
 
     def __call__(self) -> Maker:
-        """The maker that counts."""
+        """Return the measuring maker."""
         maker = self.factory()
 
         def make(task: Task) -> SceneRows:
@@ -89,7 +89,7 @@ def make_factory(settings: Settings, samples: int, views: int, size: tuple[int, 
 
 
 def time_scenes(settings: Settings, samples: int, views: int) -> tuple[float, list[SceneRows]]:
-    """Pairs a second, and what was made."""
+    """Pairs per second, and the scenes that were made."""
     pool = Processes(CountingCpu(make_factory(settings, samples, views)), settings.workers)
     try:
         warm_up = WARM_UP * settings.workers
@@ -104,7 +104,7 @@ def time_scenes(settings: Settings, samples: int, views: int) -> tuple[float, li
 
 
 def watch_memory(settings: Settings) -> Iterator[tuple[int, float]]:
-    """(scenes made, resident megabytes) at ten moments, the first after a tenth of the scenes."""
+    """(number of scenes, resident megabytes) after each tenth of the scenes."""
     pool = InProcess(make_factory(settings, 1, 1, settings.memory_size))
     step = max(1, settings.memory_scenes // 10)
     for number, _ in enumerate(pool.run(tasks(0, settings.memory_scenes)), 1):
@@ -118,9 +118,9 @@ def resident_megabytes() -> float:
 
 
 def time_all(settings: Settings) -> Table:
-    """A row for each number of views and of samples."""
+    """A table with a row for each number of views and samples."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("samples", "views", "pairs/s", "CPU s a pair", "pairs"):
+    for name in ("samples", "views", "pairs/s", "CPU s/pair", "pairs"):
         table.add_column(name, justify="right")
     table.add_column("share of the time")
     for views in settings.views:

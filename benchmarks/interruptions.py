@@ -1,8 +1,8 @@
-"""The generator's bytes: with any workers, with Ray, killed at random moments: `python benchmarks/interruptions.py`.
+"""The same bytes with any workers, with Ray, and after kills at random times: `python benchmarks/interruptions.py`.
 
-Every run is `objectflow generate` in a process group of its own, with small shards, so that some are finished and
-some are not when it is killed (SIGKILL to the whole group, workers included). The data set that one worker makes
-undisturbed is compared with all others, file by file. Ends with status 1 where any byte or any file's name differs.
+Every run is `objectflow generate` in its own process group, with small shards, so that only some are finished when it
+is killed (SIGKILL to the whole group, including workers). All data sets are compared file by file with that of an
+uninterrupted run with one worker. The exit status is 1 if any byte or file name differs.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 import tyro
 
 PROGRAM = (
-    "import sys; import objectflow.synth.generation.generate as g; g.ROWS_A_SHARD = int(sys.argv.pop(1)); "
+    "import sys; import objectflow.synth.generation.jobs as jobs; jobs.ROWS_A_SHARD = int(sys.argv.pop(1)); "
     "from objectflow.cli import main; sys.exit(main())"
 )
 
@@ -32,17 +32,17 @@ class Settings:
     """Generates one small data set in several ways."""
 
     pairs: int = 24
-    """Pairs of frames."""
+    """Number of pairs."""
     rows_a_shard: int = 3
-    """Pairs in a file."""
+    """Pairs per shard."""
     kills: int = 10
-    """How often a run is killed."""
+    """Number of kills."""
     preset: str = "small"
-    """paper or small."""
+    """paper, small or clutter."""
     samples: int = 1
-    """Colour samples a pixel, 1 or 4."""
+    """Number of colour samples per pixel, 1 or 4."""
     seed: int = 0
-    """Of the data set and of the moments."""
+    """Random seed of the data set and of the times of the kills."""
 
 
 def start(settings: Settings, out: Path, *options: str) -> subprocess.Popen[bytes]:
@@ -53,7 +53,7 @@ def start(settings: Settings, out: Path, *options: str) -> subprocess.Popen[byte
 
 
 def finish(settings: Settings, out: Path, *options: str) -> float:
-    """Seconds that a run took."""
+    """Run to the end; returns the seconds."""
     begin = time.perf_counter()
     if start(settings, out, *options).wait() != 0:
         sys.exit(f"generate {' '.join(options)} failed")
@@ -61,7 +61,7 @@ def finish(settings: Settings, out: Path, *options: str) -> float:
 
 
 def kill(process: subprocess.Popen[bytes], after: float) -> bool:
-    """Kill a run and its workers, unless it ends before."""
+    """Kill a run and its workers after some seconds; False if it ended before."""
     try:
         process.wait(timeout=after)
     except subprocess.TimeoutExpired:
@@ -85,17 +85,17 @@ def same(name: str, folder: Path, reference: dict[str, bytes]) -> bool:
 
 
 def killed(settings: Settings, out: Path, whole: float) -> tuple[list[int], int]:
-    """Kill and continue a run until it was killed often enough, and then let it end.
+    """Kill and continue a run until the number of kills is reached, then let it finish.
 
     Returns:
-        How many finished shards there were at each kill, and how many data sets were finished between kills.
+        The number of finished shards at each kill, and the number of data sets that were finished between kills.
     """
-    moments = random.Random(settings.seed)
+    times = random.Random(settings.seed)
     shards: list[int] = []
     finished = 0
     while len(shards) < settings.kills:
-        # Loading takes the first seconds of a run: most kills shall come later.
-        if kill(start(settings, out, "--workers", "2"), whole * moments.uniform(0.2, 1.0)):
+        # The first seconds of a run are spent on imports; most kills should come later.
+        if kill(start(settings, out, "--workers", "2"), whole * times.uniform(0.2, 1.0)):
             shards.append(len(list(out.glob("*.parquet"))))
         else:
             finished += 1

@@ -1,9 +1,9 @@
-"""Seconds a frame of the ray-traced renderer, beside MuJoCo's own OpenGL one: `python benchmarks/render_frame.py`.
+"""Seconds per frame of the ray tracer and of MuJoCo's OpenGL renderer: `python benchmarks/render_frame.py`.
 
-Both draw the same scenes at the same size: colour, depth and labels of textured objects of the library that float
-above a floor, with three lights that cast shadows. The OpenGL renderer runs in software (OSMesa), in a process of its
-own, and is left out where OSMesa is not installed. Every step counts, from a compiled model to arrays in memory. CPU
-seconds are those of all threads: they tell what a busy machine would do if it were not.
+Both render the same scenes at the same size: colour, depth and labels of textured objects that float above a floor,
+with three lights that cast shadows. The OpenGL renderer runs in software (OSMesa) in a separate process, and is left
+out if OSMesa is not installed. All steps from a compiled model to arrays in memory are measured. CPU seconds are
+summed over all threads and do not depend on other load of the machine.
 """
 
 from __future__ import annotations
@@ -29,38 +29,38 @@ from timing import time_each
 
 @dataclasses.dataclass
 class Settings:
-    """Times the rendering of scenes."""
+    """Measures the rendering of scenes."""
 
     width: int = 320
-    """Pixels; the height is three quarters of it."""
+    """Image width, pixels; the height is three quarters of it."""
     scenes: int = 12
-    """Scenes, after one to warm up."""
+    """Number of scenes, after one unmeasured scene."""
     objects: int = 15
-    """Objects a scene."""
+    """Number of objects per scene."""
     frames: int = 2
-    """Frames of each scene."""
+    """Number of frames per scene."""
     seed: int = 0
-    """Of the scenes."""
+    """Random seed."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Of the ray-traced renderer: cpu (one core) or cuda."""
+    """Device of the ray tracer: cpu (one core) or cuda."""
 
 
-Scene = tuple[Any, Float64Array, Float64Array]
+PosedModel = tuple[Any, Float64Array, Float64Array]
+"""A `mujoco.MjModel`, world_T_objects (F, N, 4, 4) and world_T_cameras (1, 4, 4)."""
 
 
-def make_scenes(settings: Settings) -> list[Scene]:
-    """Models with world_T_objects (F, N, 4, 4) and world_T_cameras (1, 4, 4)."""
+def make_scenes(settings: Settings) -> list[PosedModel]:
     return [
         make_scene(np.random.default_rng((settings.seed, number)), settings) for number in range(settings.scenes + 1)
     ]
 
 
-def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
+def make_scene(rng: np.random.Generator, settings: Settings) -> PosedModel:
     import mujoco
 
-    from objectflow.synth.objects.procedural import open_library
+    from objectflow.synth.objects.procedural import ProceduralLibrary
 
-    library = open_library(None)
+    library = ProceduralLibrary()
     refs = library.refs("train")
     spec = mujoco.MjSpec()
     spec.visual.headlight.active = False
@@ -90,12 +90,12 @@ def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
         body.add_freejoint()
         body.add_geom(type=mesh, meshname=f"{number}", material=f"{number}")
         for part, points in enumerate(model.parts):
-            # Nobody sees the hulls, but a scene of the generator has them.
+            # The hulls are invisible, but scenes of the generator have them.
             spec.add_mesh(name=f"{number}_{part}", uservert=points.astype(np.float32).ravel())
             body.add_geom(type=mesh, meshname=f"{number}_{part}", group=3)
         poses[:, number - 1, :3, :3] = Rotation.random(settings.frames, random_state=rng).as_matrix()
         poses[:, number - 1, :3, 3] = rng.uniform((-0.15, -0.15, 0.03), (0.15, 0.15, 0.2), (settings.frames, 3))
-    # 0.55 m from the middle of the scene, half-way up.
+    # 0.55 m from the centre of the scene, at an elevation of 45 degrees.
     camera = np.eye(4)
     camera[:3, :3] = Rotation.from_euler("x", -135, degrees=True).as_matrix()
     camera[:3, 3] = (0, -0.39, 0.44)
@@ -111,14 +111,14 @@ def make_scene(rng: np.random.Generator, settings: Settings) -> Scene:
 
 
 Times = tuple[float, float, float]
-"""Median and slowest seconds a frame, and median seconds of CPU a frame."""
+"""Median and maximum seconds per frame, and median CPU seconds per frame."""
 
 
-def time_scenes(scenes: list[Scene], render: Callable[[Scene], object], frames: int) -> Times:
-    """The first scene only warms up."""
+def time_scenes(scenes: list[PosedModel], render: Callable[[PosedModel], object], frames: int) -> Times:
+    """Measure all scenes but the first."""
     cpu: list[float] = []
 
-    def render_and_count(scene: Scene) -> None:
+    def render_and_count(scene: PosedModel) -> None:
         start = time.process_time()
         render(scene)
         cpu.append((time.process_time() - start) / frames)
@@ -135,7 +135,7 @@ def time_ray_tracer(settings: Settings, samples: int) -> Times:
 
 
 def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[Times | str]) -> None:
-    """Puts the times, or why there are none."""
+    """Put the times, or the reason why there are none, into the queue."""
     os.environ["MUJOCO_GL"] = "osmesa"
     try:
         import mujoco
@@ -143,11 +143,11 @@ def time_opengl(settings: Settings, samples: int, queue: multiprocessing.Queue[T
         probe = mujoco.MjModel.from_xml_string("<mujoco><worldbody><light/></worldbody></mujoco>")
         mujoco.Renderer(probe, 8, 8).close()
     except (ImportError, AttributeError, OSError, RuntimeError) as error:
-        # PyOpenGL says it with an AttributeError when the library is not there.
+        # PyOpenGL raises AttributeError if the library is missing.
         queue.put(f"OSMesa or PyOpenGL is not installed ({type(error).__name__})")
         return
 
-    def render(scene: Scene) -> None:
+    def render(scene: PosedModel) -> None:
         model, world_T_objects, _ = scene
         model.vis.quality.offsamples = samples if samples > 1 else 0
         data = mujoco.MjData(model)
@@ -181,7 +181,7 @@ def main(settings: Settings) -> None:
     context = multiprocessing.get_context("spawn")
     size = f"{settings.width}x{settings.width * 3 // 4}"
     table = Table(title=f"{size}, {settings.scenes} scenes, {platform.machine()}, Python {platform.python_version()}")
-    for column in ("renderer", "samples", "median s a frame", "slowest s a frame", "CPU s a frame"):
+    for column in ("renderer", "samples", "median s/frame", "maximum s/frame", "CPU s/frame"):
         table.add_column(column, justify="left" if column == "renderer" else "right")
     notes = []
     for samples in (1, 4):

@@ -1,4 +1,4 @@
-"""Draw a data set's first pairs on one sheet: `python scripts/contact_sheet.py data sheet.jpg`."""
+"""Draw the first pairs of a data set as one image: `python scripts/contact_sheet.py data sheet.jpg`."""
 
 from __future__ import annotations
 
@@ -24,35 +24,35 @@ class Settings:
     data: Positional[Path]
     """Folder of the data set."""
     out: Positional[Path]
-    """Picture to write."""
+    """Image to write."""
     split: str = "train"
-    """Part of the set."""
+    """Split of the set."""
     pairs: int = 40
-    """How many."""
+    """Number of pairs."""
     columns: int = 5
-    """Pairs a row."""
+    """Pairs per row."""
     width: int = 160
-    """Pixels of each frame."""
+    """Width of each frame, pixels."""
     movers: bool = False
-    """Outline what moves: in the previous frame where it was, in the current one where it is."""
+    """Outline moving objects in both frames."""
 
 
-def outline(picture: UInt8Array, labels: LabelImage, row: PairRow) -> UInt8Array:
-    """The picture with a line around every object that moves; a white square in the corner where the camera does."""
-    picture = np.ascontiguousarray(picture)
-    size = (picture.shape[1], picture.shape[0])
+def outline(image: UInt8Array, labels: LabelImage, row: PairRow) -> UInt8Array:
+    """Outline every moving object in an image; a white square in the corner marks a moving camera."""
+    image = np.ascontiguousarray(image)
+    size = (image.shape[1], image.shape[0])
     for label in sorted(moving_labels(row)):
         mask = cv2.resize((labels == label).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
         lines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        cv2.drawContours(picture, lines, -1, label_color(label), 1)
+        cv2.drawContours(image, lines, -1, label_color(label), 1)
     if row.camera_motion is not None and not np.array_equal(row.camera_motion, np.eye(4)):
-        cv2.rectangle(picture, (2, 2), (8, 8), (255, 255, 255), -1)
-        cv2.rectangle(picture, (2, 2), (8, 8), (0, 0, 0), 1)
-    return np.asarray(picture, dtype=np.uint8)
+        cv2.rectangle(image, (2, 2), (8, 8), (255, 255, 255), -1)
+        cv2.rectangle(image, (2, 2), (8, 8), (0, 0, 0), 1)
+    return np.asarray(image, dtype=np.uint8)
 
 
 def main(settings: Settings) -> None:
-    """Read, shrink, and lay side by side."""
+    """Read the pairs, downscale them, and draw them side by side."""
     rows = open_pairs(settings.data, settings.split)
     tiles = []
     for index in range(min(settings.pairs, len(rows))):

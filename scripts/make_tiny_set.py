@@ -1,7 +1,7 @@
 """Make the set of 16 pairs that comes with the package: `python scripts/make_tiny_set.py`.
 
-Test objects in small scenes at the paper's resolution. The images' PNGs are packed anew, as tightly as PNG can, so
-that the set stays under 3 MB; not a pixel changes.
+It has test objects in small scenes at the paper's resolution. All images are recompressed with the best PNG settings,
+without loss, so that the set is smaller than 3 MB.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from objectflow.dataset.shards import open_pairs, write_shard
 from objectflow.evaluation.data.sources import TINY_FOLDER
 from objectflow.runtime.pool import InProcess
 from objectflow.storage.files import hash_file
-from objectflow.synth.generation.generate import GenerationJob, generate
+from objectflow.synth.generation.generate import generate
+from objectflow.synth.generation.jobs import GenerationJob
 from objectflow.synth.generation.paper_maker import PaperScenes
 from objectflow.synth.scenes.paper_scene import SceneSettings
 
 SPLIT = "test"
 LIMIT = 3_000_000
-"""Bytes of the whole folder."""
+"""Maximum size of the folder, bytes."""
 
 
 @dataclasses.dataclass
@@ -35,17 +36,17 @@ class Settings:
     """Makes the tiny set."""
 
     out: Path = TINY_FOLDER
-    """Folder; replaced."""
+    """Output folder; it is replaced."""
     pairs: int = 16
-    """How many."""
+    """Number of pairs."""
     objects: tuple[int, int] = (1, 9)
-    """Objects a scene, from and to."""
+    """Minimum and maximum number of objects per scene."""
     seed: int = 16
-    """Another one than the test sets': the same objects in other scenes."""
+    """Random seed; it differs from that of the test sets, which have the same objects in other scenes."""
 
 
 def main(settings: Settings) -> None:
-    """Generate beside, pack, replace."""
+    """Generate in a temporary folder, recompress, and replace the output folder."""
     scene = SceneSettings(objects=settings.objects)
     recorded = {"preset": "tiny", "samples": 4, "objects": list(settings.objects)}
     pool = InProcess(PaperScenes(seed=settings.seed, split=SPLIT, settings=scene))
@@ -66,16 +67,16 @@ def main(settings: Settings) -> None:
     size = sum(file.stat().st_size for file in settings.out.iterdir())
     print(f"{settings.out}: {len(rows)} pairs, {size} bytes")
     if size >= LIMIT:
-        raise SystemExit(f"more than {LIMIT} bytes: take fewer --objects")
+        raise SystemExit(f"more than {LIMIT} bytes: choose fewer --objects")
 
 
 def pack(row: dict[str, Any]) -> dict[str, Any]:
-    """The row with its PNGs packed tighter."""
+    """The row with recompressed PNGs."""
     return {name: pack_png(value) if isinstance(value, bytes) else value for name, value in row.items()}
 
 
 def pack_png(data: bytes) -> bytes:
-    """The smallest of what the encoder's strategies make of an image."""
+    """The smallest PNG of an image over all strategies of the encoder."""
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     strategies = range(cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_STRATEGY_FIXED + 1)
     options = [[cv2.IMWRITE_PNG_COMPRESSION, 9, cv2.IMWRITE_PNG_STRATEGY, strategy] for strategy in strategies]

@@ -1,4 +1,4 @@
-"""Sensor models against geometry done by hand: shadow widths, quantisation steps, slants, noise levels, ranges."""
+"""Sensor models against analytic results: shadow widths, quantisation steps, slants, noise levels, ranges."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from objectflow.sensors.sensor import (
     Stereo,
     StructuredLight,
     TimeOfFlight,
-    draw_sensor,
     observe,
     observe_color,
     observe_depth,
@@ -40,7 +39,7 @@ def grey(level: float = 0.8) -> Tensor:
 
 
 def slanted(degrees: float, z: float = 0.6) -> Tensor:
-    """A plane turned about the camera's y axis: z + x tan(angle) = const, through (0, 0, z)."""
+    """A plane rotated about the camera's y axis: z + x tan(angle) = const, through (0, 0, z)."""
     ray = (torch.arange(WIDTH, dtype=torch.float64) - INTRINSICS[0, 2]) / FOCAL
     return (z / (1 + ray * math.tan(math.radians(degrees)))).expand(1, HEIGHT, WIDTH).clone()
 
@@ -56,14 +55,14 @@ def test_cosine_of_a_slanted_plane_is_its_angle() -> None:
         inverse = maps.inverse_depth(slanted(degrees))
         x, y, step = maps.slopes(inverse)
         cos = maps.cosine(inverse, x, y, INTRINSICS)
-        # The ray through column u leans by atan(ray); the normal leans by the plane's angle, the other way.
+        # The ray through column u is inclined by atan(ray), the normal by the plane's angle in the opposite direction.
         ray = (torch.arange(WIDTH, dtype=torch.float64) - INTRINSICS[0, 2]) / FOCAL
         expected = torch.cos(torch.atan(ray) - math.radians(degrees))
         torch.testing.assert_close(cos[0, HEIGHT // 2], expected, atol=2e-3, rtol=0)
         assert step.max() < 1e-9
 
 
-def test_a_step_is_found_where_it_is_and_not_as_a_slope() -> None:
+def test_a_step_is_located_exactly_and_is_no_slope() -> None:
     x, _, step = maps.slopes(maps.inverse_depth(box(0.5, 1.0, 60, 100)))
     assert x.abs().max() == 0
     assert step[0, 60].nonzero().flatten().tolist() == [59, 60, 99, 100]
@@ -71,10 +70,10 @@ def test_a_step_is_found_where_it_is_and_not_as_a_slope() -> None:
 
 
 @pytest.mark.parametrize(("baseline", "side"), [(0.048, "left"), (-0.048, "right")])
-def test_the_shadow_is_as_wide_as_the_disparities_differ(baseline: float, side: str) -> None:
+def test_the_width_of_the_shadow_is_the_difference_of_disparities(baseline: float, side: str) -> None:
     front, back, left, right = 0.4, 0.8, 60, 110
     inverse = maps.inverse_depth(box(front, back, left, right))
-    dark = maps.shadow(inverse, torch.tensor([FOCAL * baseline], dtype=torch.float64))
+    dark = maps.occluded(inverse, torch.tensor([FOCAL * baseline], dtype=torch.float64))
     width = FOCAL * abs(baseline) * (1 / front - 1 / back)  # 14.2 columns
     assert abs(int(dark[0, 60].sum()) - width) <= 1.5
     columns = dark[0, 60].nonzero().flatten()
@@ -83,14 +82,14 @@ def test_the_shadow_is_as_wide_as_the_disparities_differ(baseline: float, side: 
     else:
         assert columns.min() == right
     assert not dark[0, :38].any()
-    assert not maps.shadow(maps.inverse_depth(slanted(40)), torch.tensor([FOCAL * 0.048])).any()
+    assert not maps.occluded(maps.inverse_depth(slanted(40)), torch.tensor([FOCAL * 0.048])).any()
 
 
-def test_a_thin_object_casts_a_shadow_apart_from_itself() -> None:
+def test_the_shadow_of_a_thin_object_is_separate_from_it() -> None:
     inverse = maps.inverse_depth(box(0.4, 0.8, 80, 84))
-    dark = maps.shadow(inverse, torch.tensor([FOCAL * 0.048], dtype=torch.float64))
+    dark = maps.occluded(inverse, torch.tensor([FOCAL * 0.048], dtype=torch.float64))
     columns = dark[0, 60].nonzero().flatten().tolist()
-    # 14.2 columns to the left of the object's own 80..83, and as wide as it is; background is lit in between.
+    # 14.2 columns to the left of the object's columns 80..83 and of its width; the background between them is lit.
     assert 3 <= len(columns) <= 6
     assert 64 <= min(columns) <= 67
     assert max(columns) <= 71
@@ -117,12 +116,12 @@ def test_structured_light_gives_whole_disparity_steps() -> None:
     seen = observe_depth(wall(0.7), grey(), INTRINSICS, sensor, generator())
     steps = sensor.focal * sensor.baseline * sensor.steps / seen[seen > 0]
     torch.testing.assert_close(steps, steps.round(), atol=1e-6, rtol=0)
-    # At 0.7 m one step is z^2 / (8 f b) = 2.7 mm; a wall gives the steps around it and nothing else.
+    # At 0.7 m one step is z^2 / (8 f b) = 2.7 mm; only the steps next to the wall's depth occur.
     assert len(steps.round().unique()) <= 3
     assert (seen[seen > 0] - 0.7).abs().max() < 1.6 * 0.7**2 / (sensor.focal * sensor.baseline * sensor.steps)
 
 
-def test_structured_light_loses_what_is_dark_grazing_or_out_of_range() -> None:
+def test_structured_light_drops_dark_slanted_and_distant_surfaces() -> None:
     sensor = StructuredLight()
 
     def lost(depth: Tensor, level: float) -> float:
@@ -137,7 +136,7 @@ def test_structured_light_loses_what_is_dark_grazing_or_out_of_range() -> None:
     assert lost(wall(0.1), 0.8) == 1
 
 
-def test_structured_light_loses_the_shadow_and_part_of_the_edges() -> None:
+def test_structured_light_drops_the_shadow_and_part_of_the_edges() -> None:
     depth = box(0.4, 0.8, 60, 110)
     seen = observe_depth(depth, grey(), INTRINSICS, StructuredLight(), generator())
     assert (seen[0, 45:75, 48:59] == 0).double().mean() > 0.95
@@ -151,12 +150,12 @@ def test_time_of_flight_noise_grows_with_distance_as_amplitude_falls() -> None:
     def noise(z: float) -> float:
         return float((observe_depth(wall(z), grey(1.0), INTRINSICS, sensor, generator()) - z).std())
 
-    # sigma ~ 1 / sqrt(light) and light ~ 1 / z^2: twice the distance, twice the noise.
+    # sigma ~ 1 / sqrt(light) and light ~ 1 / z^2, so that noise doubles with distance.
     assert noise(1.0) / noise(0.5) == pytest.approx(2.0, rel=0.1)
     assert noise(0.5) == pytest.approx(sensor.sigma, rel=0.1)
 
 
-def test_time_of_flight_mixes_front_and_back_at_edges_alone() -> None:
+def test_time_of_flight_mixes_front_and_back_only_at_edges() -> None:
     sensor = TimeOfFlight(sigma=1e-6, wiggle=0.0, stray=0.0)
     depth = box(0.4, 0.8, 60, 110)
     seen = observe_depth(depth, grey(), INTRINSICS, sensor, generator())
@@ -201,7 +200,7 @@ def test_colour_noise_has_the_variance_of_its_model() -> None:
     sensor = ColorSensor(exposure=0.0, balance=0.0, blur=(0, 0), gain=(0.002, 0.002), read=(0.003, 0.003))
     seen = observe_color(grey(0.6), sensor, generator())
     linear = 0.6**2.2
-    # Through the display curve the noise is scaled by its slope, d(x^(1/2.2))/dx.
+    # The display curve scales the noise by its slope, d(x^(1/2.2))/dx.
     slope = linear ** (1 / 2.2 - 1) / 2.2
     assert float(seen.std()) == pytest.approx(slope * math.sqrt(0.002 * linear + 0.003**2), rel=0.05)
     assert float(seen.mean()) == pytest.approx(0.6, abs=0.005)
@@ -215,11 +214,11 @@ def test_colour_blur_keeps_the_mean_and_softens_an_edge() -> None:
     row = observe_color(color, sensor, generator())[0, 0, 60]
     assert (row.diff() >= 0).all()
     assert 0.25 < row[79] < row[80] < 0.8
-    # Half way between the two in linear light, by symmetry of the kernel.
+    # The mean of both sides in linear light, because the kernel is symmetric.
     assert float((row[79] ** 2.2 + row[80] ** 2.2) / 2) == pytest.approx((0.2**2.2 + 0.8**2.2) / 2, abs=0.01)
 
 
-def test_frames_of_a_pair_share_the_camera_and_not_the_noise() -> None:
+def test_frames_of_a_pair_share_the_camera_but_not_the_noise() -> None:
     sensor = ColorSensor(exposure=1.0, blur=(0, 0), gain=(0.001, 0.001))
     seen = observe_color(grey(0.4).expand(4, -1, -1, -1), sensor, generator(), images_each=2)
     means = seen.mean((2, 3))
@@ -228,7 +227,7 @@ def test_frames_of_a_pair_share_the_camera_and_not_the_noise() -> None:
     assert not torch.equal(seen[0], seen[1])
 
 
-def test_observe_leaves_exact_what_has_no_sensor() -> None:
+def test_observe_keeps_images_without_a_sensor_exact() -> None:
     depth, color = wall(0.6), grey(0.5)
     same_color, same_depth = observe(color, depth, INTRINSICS, generator())
     assert same_color is color
@@ -237,19 +236,14 @@ def test_observe_leaves_exact_what_has_no_sensor() -> None:
     assert not torch.equal(noisy, depth)
 
 
-def test_drawn_sensors_differ_in_kind_and_strength_and_follow_the_seed() -> None:
-    drawn = [draw_sensor(generator(seed)) for seed in range(30)]
-    assert {type(sensor) for sensor in drawn} == {StructuredLight, TimeOfFlight, Stereo}
-    assert drawn == [draw_sensor(generator(seed)) for seed in range(30)]
-    sigmas = {sensor.disparity_sigma for sensor in drawn if isinstance(sensor, Stereo)}
-    assert len(sigmas) > 2
+def test_scaling_changes_the_errors_and_keeps_the_geometry() -> None:
     strong = scaled(StructuredLight(), 2.0)
     assert isinstance(strong, StructuredLight)
     assert strong.lateral_sigma == 1.6
     assert strong.baseline == 0.048
 
 
-def test_shapes_that_do_not_fit_are_named() -> None:
+def test_inconsistent_shapes_are_named() -> None:
     with pytest.raises(
         DatasetError, match=r"needs colour \(1, 3, 120, 160\) and intrinsics \(1, 4\), not \(1, 3, 9, 9\)"
     ):

@@ -1,4 +1,4 @@
-"""`objectflow check`: verify a data set, and warp its pixels by its motions."""
+"""`objectflow check`: verify a data set's hashes, and warp its pixels by its motions."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ EXAMPLES = """\
 
 @dataclass(frozen=True)
 class Check:
-    """Verify every shard's hash, warp each pair by its own depth, poses and motions, and say what is in the set."""
+    """Verify every shard's hash, warp each pair by its depth, poses and motions, and print statistics of the set."""
 
     data: Annotated[Positional[Path], option("DIR")]
     """Folder of the data set."""
 
     limit: int | None = None
-    """Warp no more than this many pairs of each part."""
+    """Maximum number of pairs to warp per part."""
 
     json: bool = False
-    """Print numbers for programs."""
+    """Print the statistics as JSON."""
 
     def run(self) -> None:
-        """Check, and print a table a part."""
+        """Check, and print one table per part."""
         console = Console()
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             bar = progress.add_task("warp")
@@ -53,35 +53,35 @@ class Check:
                 _print(console, report)
         wrong = [line for report in reports for line in report.wrong]
         if wrong:
-            raise DatasetError(f"{self.data}: {len(wrong)} rows contradict themselves, the first: {wrong[0]}")
+            raise DatasetError(f"{self.data}: {len(wrong)} rows are inconsistent, the first: {wrong[0]}")
 
 
 def _print(console: Console, report: CheckReport) -> None:
     table = Table(title=f"{report.part}: {report.rows} rows, set {report.hash[:12]}")
-    for column in ("what", "mean", "median", "95%", "count"):
-        table.add_column(column, justify="left" if column == "what" else "right")
-    named = (
-        ("depth error, mm a pixel", report.depth_mm),
+    for column in ("quantity", "mean", "median", "95%", "count"):
+        table.add_column(column, justify="left" if column == "quantity" else "right")
+    quantities = (
+        ("depth error, mm per pixel", report.depth_mm),
         ("depth error with reduced rotations, mm", report.reduced_depth_mm),
         ("colour error, grey levels", report.color),
-        ("objects a pair", report.objects),
-        ("visible pixels an object", report.visible),
+        ("objects per pair", report.objects),
+        ("visible pixels per object", report.visible),
         ("displacement, cm", report.displacement_cm),
         ("rotation (reduced), degrees", report.rotation_deg),
         ("rotation (raw), degrees", report.raw_rotation_deg),
     )
-    for name, histogram in named:
-        low, high = histogram.quantile(0.5), histogram.quantile(0.95)
-        table.add_row(name, f"{histogram.mean:.2f}", f"{low:.2f}", f"{high:.2f}", str(histogram.count))
+    for name, histogram in quantities:
+        median, high = histogram.quantile(0.5), histogram.quantile(0.95)
+        table.add_row(name, f"{histogram.mean:.2f}", f"{median:.2f}", f"{high:.2f}", str(histogram.count))
     console.print(table)
     share = 100 * report.symmetric / max(1, report.objects_total)
-    redrawn = ", ".join(f"{count} {reason}" for reason, count in report.rejected.items()) or "none"
-    console.print(f"symmetric objects: {share:.0f}%; drafts drawn anew: {redrawn}")
+    rejected = ", ".join(f"{count} {reason}" for reason, count in report.rejected.items()) or "none"
+    console.print(f"symmetric objects: {share:.0f}%; rejected scenes: {rejected}")
     if report.movers.count:
         pairs = report.movers.count
         console.print(
-            f"moving objects a pair: {report.movers.mean:.2f}; pairs without motion: {report.motionless}/{pairs}; "
-            f"before a moving camera: {report.moving_cameras}/{pairs}"
+            f"moving objects per pair: {report.movers.mean:.2f}; pairs without motion: {report.motionless}/{pairs}; "
+            f"pairs with a moving camera: {report.moving_cameras}/{pairs}"
         )
     for entry in report.worst[:3]:
         console.print(

@@ -20,17 +20,21 @@ EXAMPLES = """\
   objectflow generate --out data --split test --sequences 30
   objectflow generate --out data --split train --pairs 25000 --shard 3/16
   objectflow generate --out own --pairs 100 --mesh-folder meshes --texture-folder photographs
-  objectflow generate --out wild --preset wild --pairs 1000 --mesh-folder meshes --mesh-share 0.3
-  objectflow generate --out unseen --preset wild --split test --pairs 40 --mesh-folder meshes --every-mesh
+  objectflow generate --out clutter --preset clutter --pairs 1000 --mesh-folder meshes --mesh-share 0.3
+  objectflow generate --out unseen --preset clutter --split test --pairs 40 --mesh-folder meshes --every-mesh
 """
+
+CLUTTER = "clutter"
+_RENAMED_PRESETS = {"wild": CLUTTER}
+"""Former names of presets, which are still accepted."""
 
 
 @dataclass(frozen=True)
 class Generate:
-    """Simulate scenes of falling objects and store pairs of frames with exact masks and motions.
+    """Simulate scenes of moving objects and store pairs of frames with exact masks and motions.
 
-    The same seed gives the same bytes, whatever the number of workers. A run that was cut off is continued by the same
-    command; a folder that holds another seed's or other settings' shards is refused.
+    The same seed gives the same bytes for any number of workers. The same command continues an interrupted run; a
+    folder with shards of another seed or of other settings is refused.
     """
 
     out: Annotated[Path, option("DIR")]
@@ -40,32 +44,33 @@ class Generate:
     """train, val or test; their object models are disjoint."""
 
     pairs: int = 0
-    """How many pairs of frames, one second apart."""
+    """Number of pairs of frames."""
 
     sequences: int = 0
-    """How many sequences of eight frames."""
+    """Number of sequences of eight frames."""
 
     views: int = 1
-    """Cameras a scene: cheaper pairs, marked as siblings."""
+    """Number of cameras per scene; pairs of one scene are faster to make and are marked as siblings."""
 
     seed: int = 0
-    """Of everything random."""
+    """Random seed."""
 
     preset: str = "paper"
-    """paper (1-30 objects fall, 320x240), small (1-6 objects, 160x120), or wild: tables, floors, bins and walls, 1-20
-    objects of which 0-8 move in many ways, some cameras too; 3 to 60 frames of 60 Hz between the two of a pair."""
+    """paper (1-30 falling objects, 320x240), small (1-6 objects, 160x120), or clutter: 1-20 objects on tables, on
+    floors or in bins, of which 0-8 move in various ways; some cameras move; 3 to 60 frames of 60 Hz between the two
+    frames of a pair."""
 
     workers: int = max(1, os.cpu_count() or 1)
-    """Processes on this machine."""
+    """Number of processes on this machine."""
 
     ray: str | None = None
     """Address of a Ray cluster ("auto", "host:6379"), or "local"; --workers is then the number of actors."""
 
     device: Literal["cpu", "cuda"] = "cpu"
-    """Where pictures are rendered."""
+    """Device for rendering."""
 
     samples: Literal[1, 4] = 4
-    """Colour samples a pixel: 4 is anti-aliased, 1 is faster."""
+    """Number of colour samples per pixel: 4 is anti-aliased, 1 is faster."""
 
     shard: str = "1/1"
     """i/n: make only every n-th shard file, for batch queues."""
@@ -74,22 +79,19 @@ class Generate:
     """Meshes (ShapeNet layout, or any OBJ, STL, PLY, GLB) instead of the procedural objects."""
 
     mesh_share: float = 1.0
-    """Share of the objects that are meshes, where there is a folder of them; the others are procedural."""
+    """Share of objects that are meshes, if there is a folder of them; the others are procedural."""
 
     every_mesh: bool = False
-    """Take all meshes of the folder, whatever the split: for a test set of shapes that nothing was trained on."""
+    """Use all meshes of the folder in any split: for a test set of shapes that are in no training set."""
 
     texture_folder: Path | None = None
-    """Pictures for half of the floors; in wild scenes for furniture, walls and some objects too."""
+    """Images for half of the floors; in clutter scenes also for furniture, walls and some objects."""
 
     def run(self) -> None:
-        """Make the shards that are missing, with a progress bar."""
-        from objectflow.synth.generation.clutter_maker import ClutterScenes
-        from objectflow.synth.generation.generate import GenerationJob, generate
-        from objectflow.synth.generation.paper_maker import PaperScenes
-        from objectflow.synth.objects.mixed_library import Meshes
+        """Make the missing shards, with a progress bar."""
+        from objectflow.synth.generation.generate import generate
+        from objectflow.synth.generation.jobs import GenerationJob
         from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
-        from objectflow.synth.scenes.clutter_scene import WildSettings
 
         if self.pairs < 1 and self.sequences < 1:
             raise DatasetError("nothing to generate: give --pairs N or --sequences N")
@@ -97,29 +99,10 @@ class Generate:
             raise DatasetError("--views and --workers must be at least 1")
         if self.mesh_folder is None and (self.mesh_share != 1 or self.every_mesh):
             raise DatasetError("--mesh-share and --every-mesh are about meshes: give --mesh-folder DIR")
-        meshes = None
-        if self.mesh_folder is not None:
-            meshes = Meshes(self.mesh_folder, self.mesh_share, self.every_mesh)
-        common: dict[str, Any] = {
-            "seed": self.seed,
-            "split": self.split,
-            "views": self.views,
-            "samples": self.samples,
-            "device": self.device,
-            "meshes": meshes,
-            "texture_folder": self.texture_folder,
-        }
-        settings = preset_settings(self.preset)
-        settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
-        scenes: Any
-        wild = None
-        if self.preset == WILD:
-            if self.sequences:
-                raise DatasetError("the preset wild makes pairs: leave --sequences out")
-            wild = WildSettings(settings)
-            scenes = ClutterScenes(settings=wild, **common)
-        else:
-            scenes = PaperScenes(settings=settings, **common)
+        preset = _RENAMED_PRESETS.get(self.preset, self.preset)
+        if preset == CLUTTER and self.sequences:
+            raise DatasetError("the preset clutter makes pairs: leave --sequences out")
+        scenes = self._make_scenes(preset)
         jobs = []
         if self.pairs:
             jobs.append(GenerationJob("pairs", self.split, self.pairs, self.views))
@@ -139,11 +122,11 @@ class Generate:
                 if now.scene:
                     notes.update(now.scene.notes)
 
-            pool = self._pool(scenes)
+            pool = self._open_pool(scenes)
             try:
                 manifest = generate(
-                    self.out, jobs, pool, seed=self.seed, settings=self._recorded(settings, wild), shard=self._shard(),
-                    report=report,
+                    self.out, jobs, pool, seed=self.seed, settings=self._recorded(preset, scenes.settings),
+                    shard=self._shard(), report=report,
                 )  # fmt: skip
             finally:
                 pool.close()
@@ -152,13 +135,38 @@ class Generate:
         if notes:
             console.print(f"{len(notes)} models could not be used")
         if manifest is None:
-            console.print(f"{self.out}: this run's shards are done; other runs of the queue still have theirs to make")
+            console.print(f"{self.out}: the shards of this run are done; other runs of the queue are unfinished")
             return
         for name, part in manifest.parts.items():
-            redrawn = ", ".join(f"{count} {reason}" for reason, count in part.rejected.items()) or "none"
-            console.print(f"{self.out}: {name}: {part.rows} rows in {len(part.shards)} shards; drawn anew: {redrawn}")
+            rejected = ", ".join(f"{count} {reason}" for reason, count in part.rejected.items()) or "none"
+            console.print(f"{self.out}: {name}: {part.rows} rows in {len(part.shards)} shards; rejected: {rejected}")
 
-    def _pool(self, scenes: Any) -> Any:
+    def _make_scenes(self, preset: str) -> Any:
+        """The factory of the preset's scenes."""
+        from objectflow.synth.generation.clutter_maker import ClutterScenes
+        from objectflow.synth.generation.paper_maker import PaperScenes
+        from objectflow.synth.objects.mixed_library import MeshFolder
+        from objectflow.synth.scenes.clutter_scene import ClutterSettings
+
+        meshes = None
+        if self.mesh_folder is not None:
+            meshes = MeshFolder(self.mesh_folder, self.mesh_share, self.every_mesh)
+        common: dict[str, Any] = {
+            "seed": self.seed,
+            "split": self.split,
+            "views": self.views,
+            "samples": self.samples,
+            "device": self.device,
+            "meshes": meshes,
+            "texture_folder": self.texture_folder,
+        }
+        settings = preset_settings(preset)
+        settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
+        if preset == CLUTTER:
+            return ClutterScenes(settings=ClutterSettings(settings), **common)
+        return PaperScenes(settings=settings, **common)
+
+    def _open_pool(self, scenes: Any) -> Any:
         from objectflow.runtime.pool import InProcess, Processes
 
         if self.ray is not None:
@@ -167,21 +175,24 @@ class Generate:
             return RayActors(scenes, self.ray, self.workers, cuda=self.device == "cuda")
         return InProcess(scenes) if self.workers == 1 else Processes(scenes, self.workers)
 
-    def _recorded(self, settings: Any, wild: Any) -> dict[str, Any]:
-        """What shards must have in common; neither workers nor device change a byte of the labels."""
-        plain = _plain(settings)
-        # Only what is not as it ever was: sets made before there was a choice are continued.
+    def _recorded(self, preset: str, settings: Any) -> dict[str, Any]:
+        """Settings that all shards of a set share. Workers and device are left out: labels do not depend on them.
+
+        Newer options are recorded only if they are used, so that older sets can be continued.
+        """
         more: dict[str, Any] = {} if self.mesh_share == 1 else {"mesh_share": self.mesh_share}
         more |= {"every_mesh": True} if self.every_mesh else {}
-        if wild is not None:
-            more["wild"] = {key: value for key, value in _plain(wild).items() if key != "scene"}
+        scene = settings
+        if preset == CLUTTER:
+            scene = settings.scene
+            more[CLUTTER] = {key: value for key, value in _json_values(settings).items() if key != "scene"}
         return {
-            "preset": self.preset,
+            "preset": preset,
             **more,
             "samples": self.samples,
             "meshes": None if self.mesh_folder is None else str(self.mesh_folder),
             "textures": None if self.texture_folder is None else str(self.texture_folder),
-            "scene": {key: value for key, value in plain.items() if key != "images"},
+            "scene": {key: value for key, value in _json_values(scene).items() if key != "images"},
         }
 
     def _shard(self) -> tuple[int, int]:
@@ -194,10 +205,8 @@ class Generate:
         return number, total
 
 
-WILD = "wild"
-
-
-def _plain(settings: Any) -> dict[str, Any]:
+def _json_values(settings: Any) -> dict[str, Any]:
+    """The fields of a settings dataclass, tuples as lists."""
     return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(settings).items()}
 
 
@@ -213,7 +222,7 @@ def preset_settings(name: str) -> Any:
     presets = {
         "paper": SceneSettings(),
         "small": SceneSettings(objects=(1, 6), width=160, height=120, focal=(118.23, 118.23)),
-        WILD: SCENE,
+        CLUTTER: SCENE,
     }
     if name not in presets:
         raise DatasetError(f"unknown preset {name!r}: choose one of {', '.join(presets)}")

@@ -1,4 +1,4 @@
-"""`objectflow show`: one row of a data set as a picture."""
+"""`objectflow show`: one row of a data set as an image."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ EXAMPLES = """\
 
 @dataclass(frozen=True)
 class Show:
-    """Draw a row: both frames, depth, labels, flow and centres; or all frames of a sequence."""
+    """Draw one pair (frames, depth, labels, flow and centres), or all frames of a sequence."""
 
     data: Annotated[Positional[Path], option("DIR")]
     """Folder of the data set."""
 
     key: str
-    """The pair's key, or the sequence's name."""
+    """Key of the pair, or name of the sequence."""
 
     out: Path | None = None
-    """Picture to write; KEY.png if not given."""
+    """Image to write; KEY.png if not given."""
 
     def run(self) -> None:
         """Find the row and draw it."""
         manifest = Manifest.read(self.data)
-        picture, known = None, list[str]()
+        image, known = None, list[str]()
         for part in manifest.parts.values():
             if part.kind == "pairs":
                 pairs = open_pairs(self.data, part.split)
                 known += (keys := pairs.keys())
                 if self.key in keys:
-                    picture = draw_pair(pairs[keys.index(self.key)])
+                    image = draw_pair(pairs[keys.index(self.key)])
             else:
                 frames = open_sequences(self.data, part.split)
                 sequences = [key.split("/")[0] for key in frames.keys()]  # noqa: SIM118 - not a mapping
                 known += dict.fromkeys(sequences)
-                if self.key in sequences and picture is None:
-                    picture = draw_frames([frames[i] for i, name in enumerate(sequences) if name == self.key])
-        if picture is None:
+                if self.key in sequences and image is None:
+                    image = draw_frames([frames[i] for i, name in enumerate(sequences) if name == self.key])
+        if image is None:
             raise DatasetError(f"{self.data}: no row {self.key!r}; there is {known[0]} to {known[-1]}")
         out = self.out or Path(f"{self.key}.png")
-        done, png = cv2.imencode(".png", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        done, png = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
         if not done:
-            raise DatasetError(f"{out}: the picture cannot be encoded")
+            raise DatasetError(f"{out}: the image cannot be encoded")
         files.write_bytes(out, png.tobytes())
         print(f"written to {out}")

@@ -1,1 +1,1 @@
-"""Models of real cameras: depth noise and holes, exposure and colour noise."""
+"""Models of real cameras: depth noise and missing depth, exposure and colour noise."""

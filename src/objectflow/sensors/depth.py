@@ -1,8 +1,8 @@
-"""Depth as three kinds of sensor would see it: structured light, time of flight, stereo; batched torch.
+"""Depth errors of three kinds of sensor: structured light, time of flight, stereo; batched torch.
 
-Each function takes exact depth (B, H, W) in metres with 0 = missing, luminance (B, H, W) in 0..1, intrinsics
-(B, 4) as fx, fy, cx, cy in pixels, and returns noisy depth of the same form. A lost pixel becomes 0.
-Randomness comes from the generator alone, which must live on the tensors' device.
+Each function takes exact depth (B, H, W) in metres with 0 = missing, luminance (B, H, W) in 0..1 and intrinsics
+(B, 4) as fx, fy, cx, cy in pixels, and returns noisy depth of the same form. Invalid pixels become 0.
+The generator, on the tensors' device, is the only source of randomness.
 """
 
 from __future__ import annotations
@@ -19,96 +19,97 @@ from objectflow.sensors import depth_maps as maps
 
 @dataclass(frozen=True)
 class StructuredLight:
-    """A projector beside a camera, as in the RealSense SR300 and the first Kinect.
+    """A camera and a pattern projector, as in the RealSense SR300 and the first Kinect.
 
-    Sources: baseline, focal length and range: SR300, as in the paper's generator. Quantisation in steps of 1/8 pixel,
-    disparity noise of 1/6 step and lateral noise: Barron and Malik, CVPR 2013, used again by Handa et al., ICRA 2014.
-    Lateral noise that grows with slant: Nguyen, Izadi and Lovell, 3DIMPVT 2012. Losses at edges and on dark or slanted
-    surfaces: their form is known from all such sensors, their thresholds are chosen here.
+    Sources: baseline, focal length and range of the SR300, as in the paper's generator. Quantisation in steps of 1/8
+    pixel, disparity noise of 1/6 step and lateral noise: Barron and Malik, CVPR 2013, also used by Handa et al., ICRA
+    2014. Lateral noise that grows with slant: Nguyen, Izadi and Lovell, 3DIMPVT 2012. Dropout at edges and on dark or
+    slanted surfaces is common to these sensors; its thresholds are our choice.
     """
 
     baseline: float = 0.048
-    """Metres from the camera to the projector, along +x."""
+    """Distance from the camera to the projector along +x, metres."""
     focal: float = 472.93
-    """Pixels, of the sensor's own image (640x480). Noise in pixels is scaled to the image at hand."""
+    """Focal length of the sensor's own image (640x480), pixels. Noise in pixels is scaled to the given image."""
     steps: float = 8.0
-    """Disparity steps a pixel of the sensor."""
+    """Number of disparity steps per pixel of the sensor."""
     disparity_sigma: float = 1 / 6
-    """Disparity noise, in steps."""
+    """Standard deviation of the disparity noise, steps."""
     lateral_sigma: float = 0.8
-    """Pixels of the sensor, facing surface."""
+    """Standard deviation of the lateral noise on a frontal surface, pixels of the sensor."""
     lateral_slant: float = 0.035
-    """Pixels of the sensor, times slant / (90 degrees - slant)."""
+    """Additional lateral noise in units of slant / (90 degrees - slant), pixels of the sensor."""
     edge_loss: float = 0.5
-    """Probability that a pixel beside a depth step of more than one pixel of disparity is lost."""
+    """Dropout probability of pixels at a depth step of more than one pixel of disparity."""
     dark: float = 0.012
-    """Returned light (white, facing, 0.5 m: 1) at which half of the pixels are lost."""
+    """Returned light at which half of the pixels drop out; 1 for a white frontal surface at 0.5 m."""
     grazing: float = 0.17
-    """Cosine of slant (about 80 degrees) at which half of the pixels are lost."""
+    """Cosine of the slant at which half of the pixels drop out; 0.17 is about 80 degrees."""
     near: float = 0.2
-    """Metres: nothing nearer is measured."""
+    """Minimum measured depth, metres."""
     far: float = 1.5
-    """Metres: nothing further is measured."""
+    """Maximum measured depth, metres."""
 
 
 @dataclass(frozen=True)
 class TimeOfFlight:
     """A phase-measuring camera, as in the second Kinect and the Azure Kinect.
 
-    Sources: noise inverse to the returned amplitude: Lange and Seitz, IEEE JQE 2001. The periodic 'wiggling' error:
-    Lindner et al., CVIU 2010. Mixed 'flying' pixels at edges: Sabov and Kruger, SCCG 2008. The amounts are chosen here
-    to lie within the Azure Kinect's published random error (17 mm at most) and systematic error (11 mm at most).
+    Sources: noise inversely proportional to the returned amplitude: Lange and Seitz, IEEE JQE 2001. Periodic
+    'wiggling' error: Lindner et al., CVIU 2010. Mixed 'flying' pixels at edges: Sabov and Kruger, SCCG 2008. The
+    magnitudes are our choice within the Azure Kinect's published random (at most 17 mm) and systematic errors (at most
+    11 mm).
     """
 
     sigma: float = 0.001
-    """Metres, for the returned light of a white, facing surface at 0.5 m."""
+    """Standard deviation of the noise for the returned light of a white frontal surface at 0.5 m, metres."""
     sigma_limit: float = 0.017
-    """Metres: a pixel with more noise than this is dropped."""
+    """Standard deviation of the noise above which pixels are invalid, metres."""
     wiggle: float = 0.002
-    """Metres, amplitude of the periodic error."""
+    """Amplitude of the periodic error, metres."""
     modulation: float = 80e6
-    """Hz; the range is unique up to c / 2f, and the error has four periods in it."""
+    """Modulation frequency f, Hz; depth is unambiguous up to c / 2f, which contains four periods of the error."""
     spread: float = 0.6
-    """Pixels: standard deviation of the lens's blur, which mixes front and back at edges."""
+    """Standard deviation of the lens blur, which mixes front and back at edges, pixels."""
     stray: float = 0.01
-    """Share of a pixel's light that came by its surroundings, on a longer way."""
+    """Share of multi-path light from a pixel's surroundings, 0..1."""
     near: float = 0.15
-    """Metres: nothing nearer is measured."""
+    """Minimum measured depth, metres."""
     far: float = 3.0
-    """Metres: nothing further is measured."""
+    """Maximum measured depth, metres."""
 
 
 @dataclass(frozen=True)
 class Stereo:
-    """Two cameras and a matching window, as in the RealSense D400; with or without a pattern projector.
+    """Two cameras and window matching, as in the RealSense D400, with or without a pattern projector.
 
-    Sources: baseline, and sub-pixel error of 0.08 pixel, which makes depth noise `z^2 0.08 / (f b)`: Intel's D400
-    tuning guide. Steps of 1/32 pixel: the D4 processor's data sheet. Errors as wide as the window and edges fattened
-    by it: Scharstein and Szeliski, IJCV 2002. Thresholds are chosen here.
+    Sources: baseline and sub-pixel error of 0.08 pixel, which gives a depth noise of `z^2 0.08 / (f b)`: Intel's D400
+    tuning guide. Steps of 1/32 pixel: the D4 processor's data sheet. Errors correlated over the window, and edge
+    fattening: Scharstein and Szeliski, IJCV 2002. The thresholds are our choice.
     """
 
     baseline: float = 0.05
-    """Metres from the left to the right camera, along +x."""
+    """Distance from the left to the right camera along +x, metres."""
     focal: float = 640.0
-    """Pixels, of the sensor's own image. Noise in pixels is scaled to the image at hand."""
+    """Focal length of the sensor's own image, pixels. Noise in pixels is scaled to the given image."""
     steps: float = 32.0
-    """Disparity steps a pixel of the sensor."""
+    """Number of disparity steps per pixel of the sensor."""
     disparity_sigma: float = 0.08
-    """Pixels of the sensor."""
+    """Standard deviation of the disparity noise, pixels of the sensor."""
     window: int = 2
-    """Pixels: half of the matching window; noise is smooth over it."""
+    """Radius of the matching window, over which noise is correlated, pixels."""
     wobble: float = 1.0
-    """Pixels: how far edges wander off, smooth over the window."""
+    """Standard deviation of the displacement of edges, correlated over the window, pixels of the sensor."""
     edge_loss: float = 0.3
-    """Probability that a pixel beside a depth step of more than one pixel of disparity is lost."""
+    """Dropout probability of pixels at a depth step of more than one pixel of disparity."""
     active: bool = True
-    """A projected pattern gives plain surfaces texture. Without it they are lost."""
+    """Whether a pattern is projected; without one, surfaces without texture drop out."""
     texture: float = 0.01
-    """Standard deviation of luminance in the window at which half of the pixels are lost, without a pattern."""
+    """Standard deviation of luminance in the window at which half of the pixels drop out without a pattern."""
     near: float = 0.15
-    """Metres: nothing nearer is measured."""
+    """Minimum measured depth, metres."""
     far: float = 4.0
-    """Metres: nothing further is measured."""
+    """Maximum measured depth, metres."""
 
 
 DepthSensor = StructuredLight | TimeOfFlight | Stereo
@@ -117,46 +118,46 @@ DepthSensor = StructuredLight | TimeOfFlight | Stereo
 def structured_light(
     depth: Tensor, luminance: Tensor, intrinsics: Tensor, sensor: StructuredLight, generator: torch.Generator
 ) -> Tensor:
-    """Depth (B, H, W) in metres as a structured-light sensor sees it."""
+    """Depth (B, H, W) in metres as measured by a structured-light sensor."""
     inverse = maps.inverse_depth(depth)
     slope_x, slope_y, step = maps.slopes(inverse)
     cos = maps.cosine(inverse, slope_x, slope_y, intrinsics)
     pixel_metres = intrinsics[:, 0] * sensor.baseline
     scale = (intrinsics[:, 0] / sensor.focal)[:, None, None]
 
-    # 1. What the projector does not reach, cannot be told apart at edges, or comes back too weakly.
-    gone = maps.shadow(inverse, pixel_metres) | (depth < sensor.near) | (depth > sensor.far)
-    gone |= _edge_loss(step, pixel_metres, sensor.edge_loss, generator)
+    # 1. Dropout: projector shadow, range, edges, dark or slanted surfaces.
+    invalid = maps.occluded(inverse, pixel_metres) | (depth < sensor.near) | (depth > sensor.far)
+    invalid |= _edge_dropout(step, pixel_metres, sensor.edge_loss, generator)
     light = maps.returned_light(luminance, cos, depth)
-    gone |= maps.lost(torch.sigmoid(4 * (1 - light / sensor.dark)), generator)
-    gone |= maps.lost(torch.sigmoid(12 * (1 - cos / sensor.grazing)), generator)
+    invalid |= maps.draw_dropout(torch.sigmoid(4 * (1 - light / sensor.dark)), generator)
+    invalid |= maps.draw_dropout(torch.sigmoid(12 * (1 - cos / sensor.grazing)), generator)
 
-    # 2. The lateral error: the surface is measured at a pixel beside.
+    # 2. Lateral error: the surface is measured at a neighbouring pixel.
     slant = torch.acos(cos).clamp_max(math.radians(85))
     sigma = scale * (sensor.lateral_sigma + sensor.lateral_slant * slant / (math.pi / 2 - slant))
     dx, dy = (maps.normal_noise(depth, generator) * sigma for _ in range(2))
-    inverse = maps.displaced(inverse, slope_x, slope_y, dx, dy)
+    inverse = maps.shift_surface(inverse, slope_x, slope_y, dx, dy)
 
-    # 3. The axial error: disparity in whole steps, after noise.
+    # 3. Axial error: noise, then quantisation of disparity.
     unit = sensor.focal * sensor.baseline * sensor.steps
     noisy = unit * inverse + sensor.disparity_sigma * maps.normal_noise(depth, generator)
     inverse = torch.where(inverse > 0, noisy.round() / unit, torch.zeros_like(inverse))
-    return torch.where(gone, torch.zeros_like(depth), maps.depth_of(inverse))
+    return torch.where(invalid, torch.zeros_like(depth), maps.depth_of(inverse))
 
 
 def time_of_flight(
     depth: Tensor, luminance: Tensor, intrinsics: Tensor, sensor: TimeOfFlight, generator: torch.Generator
 ) -> Tensor:
-    """Depth (B, H, W) in metres as a time-of-flight camera sees it."""
+    """Depth (B, H, W) in metres as measured by a time-of-flight camera."""
     inverse = maps.inverse_depth(depth)
     slope_x, slope_y, _ = maps.slopes(inverse)
     light = maps.returned_light(luminance, maps.cosine(inverse, slope_x, slope_y, intrinsics), depth)
 
-    # 1. The lens mixes neighbours, each as bright as it is: flying pixels between front and back.
+    # 1. Lens blur mixes pixels, weighted by their light, which gives flying pixels between front and back.
     known = (depth > 0).to(depth.dtype)
     weight = (light + 1e-4) * known
     mixed = _blur(depth * weight, sensor.spread) / _blur(weight, sensor.spread).clamp_min(1e-9)
-    # 2. Stray light arrives later than the direct light, never sooner.
+    # 2. Multi-path light arrives later than direct light, so that it only increases depth.
     around = _blur(depth * known, 8.0) / _blur(known, 8.0).clamp_min(1e-9)
     mixed = mixed + sensor.stray * (around - mixed).clamp_min(0)
     # 3. Imperfect modulation, then shot noise.
@@ -164,44 +165,44 @@ def time_of_flight(
     mixed = mixed + sensor.wiggle * torch.sin(2 * math.pi * mixed / period)
     sigma = sensor.sigma / light.clamp_min(1e-6).sqrt()
     noisy = mixed + sigma.clamp_max(sensor.sigma_limit) * maps.normal_noise(depth, generator)
-    gone = (known == 0) | (depth < sensor.near) | (depth > sensor.far) | (sigma > sensor.sigma_limit)
-    return torch.where(gone, torch.zeros_like(depth), noisy.clamp_min(0))
+    invalid = (known == 0) | (depth < sensor.near) | (depth > sensor.far) | (sigma > sensor.sigma_limit)
+    return torch.where(invalid, torch.zeros_like(depth), noisy.clamp_min(0))
 
 
 def stereo(depth: Tensor, luminance: Tensor, intrinsics: Tensor, sensor: Stereo, generator: torch.Generator) -> Tensor:
-    """Depth (B, H, W) in metres as a stereo camera sees it from its left eye."""
+    """Depth (B, H, W) in metres as measured by a stereo camera, in its left image."""
     inverse = maps.inverse_depth(depth)
     slope_x, slope_y, step = maps.slopes(inverse)
     pixel_metres = intrinsics[:, 0] * sensor.baseline
     scale = (intrinsics[:, 0] / sensor.focal)[:, None, None]
 
-    # 1. What the right eye does not see, and what has nothing to match.
-    gone = maps.shadow(inverse, pixel_metres) | (depth < sensor.near) | (depth > sensor.far)
-    gone |= _edge_loss(step, pixel_metres, sensor.edge_loss, generator)
+    # 1. Dropout: occlusion in the right image, range, edges, missing texture.
+    invalid = maps.occluded(inverse, pixel_metres) | (depth < sensor.near) | (depth > sensor.far)
+    invalid |= _edge_dropout(step, pixel_metres, sensor.edge_loss, generator)
     if not sensor.active:
         mean = _window_mean(luminance, sensor.window)
         contrast = (_window_mean(luminance**2, sensor.window) - mean**2).clamp_min(0).sqrt()
-        gone |= maps.lost(torch.sigmoid(4 * (1 - contrast / sensor.texture)), generator, sensor.window)
+        invalid |= maps.draw_dropout(torch.sigmoid(4 * (1 - contrast / sensor.texture)), generator, sensor.window)
 
-    # 2. The matching window: edges wander, errors are as wide as it is.
+    # 2. The matching window displaces edges and correlates errors.
     dx, dy = (maps.normal_noise(depth, generator, sensor.window) * sensor.wobble * scale for _ in range(2))
-    wandered = maps.displaced(inverse, slope_x, slope_y, dx, dy)
-    near_edge = maps.widened(step * pixel_metres[:, None, None] > 1, sensor.window) > 0
-    inverse = torch.where(near_edge, wandered, inverse)
+    displaced = maps.shift_surface(inverse, slope_x, slope_y, dx, dy)
+    near_edge = maps.dilate(step * pixel_metres[:, None, None] > 1, sensor.window) > 0
+    inverse = torch.where(near_edge, displaced, inverse)
     unit = sensor.focal * sensor.baseline * sensor.steps
     noise = sensor.steps * sensor.disparity_sigma * maps.normal_noise(depth, generator, sensor.window)
     noisy = unit * inverse + noise
     inverse = torch.where(inverse > 0, noisy.round() / unit, torch.zeros_like(inverse))
-    return torch.where(gone, torch.zeros_like(depth), maps.depth_of(inverse))
+    return torch.where(invalid, torch.zeros_like(depth), maps.depth_of(inverse))
 
 
-def _edge_loss(step: Tensor, pixel_metres: Tensor, probability: float, generator: torch.Generator) -> Tensor:
-    at_edge = maps.widened(step * pixel_metres.abs()[:, None, None] > 1, 1)
-    return maps.lost(probability * at_edge, generator)
+def _edge_dropout(step: Tensor, pixel_metres: Tensor, probability: float, generator: torch.Generator) -> Tensor:
+    at_edge = maps.dilate(step * pixel_metres.abs()[:, None, None] > 1, 1)
+    return maps.draw_dropout(probability * at_edge, generator)
 
 
 def _blur(image: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of (B, H, W), edges repeated."""
+    """Gaussian blur of (B, H, W) with sigma in pixels; edges are repeated."""
     radius = max(1, math.ceil(2.5 * sigma))
     x = torch.arange(-radius, radius + 1, device=image.device, dtype=image.dtype)
     kernel = torch.exp(-0.5 * (x / sigma) ** 2)

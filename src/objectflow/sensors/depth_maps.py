@@ -1,7 +1,7 @@
-"""What a depth sensor's errors depend on: slant, depth steps, shadow, returned light; batched torch.
+"""Maps that a depth sensor's errors depend on: slant, depth steps, occlusion, returned light; batched torch.
 
-Everything works on inverse depth `w = 1 / z`, which is linear in pixel coordinates on a plane: slopes taken from it
-are exact there, whatever the perspective. Missing depth is `w = 0`.
+All functions use inverse depth `w = 1 / z`. It is linear in pixel coordinates on a plane, so that its slopes are exact
+there under any perspective. Missing depth is `w = 0`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ def inverse_depth(depth: Tensor) -> Tensor:
 
 
 def depth_of(inverse: Tensor) -> Tensor:
-    """The inverse of `inverse_depth`; values at or below 0 become missing."""
+    """Inverse depth (B, H, W) in 1/m -> depth in metres; values at or below 0 become missing."""
     return torch.where(inverse > 0, 1 / inverse.clamp_min(1e-6), torch.zeros_like(inverse))
 
 
 def slopes(inverse: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Slope of inverse depth along x and y, and the height of the depth step at a pixel.
+    """Slopes of inverse depth along x and y, and the height of the depth step at each pixel.
 
-    Of the two one-sided differences the smaller one is the slope of the pixel's own surface, and what the larger one
-    has beyond it is a step. A missing neighbour says nothing.
+    The smaller of the two one-sided differences is the slope of the pixel's own surface; the excess of the larger one
+    is a step. Missing neighbours are ignored.
 
     Args:
         inverse: (B, H, W) in 1/m.
 
     Returns:
-        slope along x and along y in 1/m a pixel, and the larger step of the two directions in 1/m; each (B, H, W).
+        Slopes along x and along y in 1/m per pixel, and the larger step of the two directions in 1/m; each (B, H, W).
     """
     (x, step_x), (y, step_y) = _one_sided(inverse, 2), _one_sided(inverse, 1)
     return x, y, torch.maximum(step_x, step_y)
@@ -54,13 +54,14 @@ def _one_sided(inverse: Tensor, dim: int) -> tuple[Tensor, Tensor]:
 
 
 def cosine(inverse: Tensor, slope_x: Tensor, slope_y: Tensor, intrinsics: Tensor) -> Tensor:
-    """Cosine of the angle between each pixel's ray and its surface's normal, (B, H, W) in 0..1.
+    """Cosine of the angle between each pixel's ray and its surface normal, (B, H, W) in 0..1.
 
-    On the plane `w = a u + b v + c` the normal is `(fx a, fy b, w - a (u - cx) - b (v - cy))`, and its product with
-    the ray through the pixel is `w` itself.
+    The plane `w = a u + b v + c` has the normal `(fx a, fy b, w - a (u - cx) - b (v - cy))`, whose dot product with
+    the ray through the pixel is `w`.
 
     Args:
-        inverse, slope_x, slope_y: (B, H, W), as `slopes` gives them.
+        inverse: (B, H, W) in 1/m.
+        slope_x, slope_y: (B, H, W) in 1/m per pixel; see `slopes`.
         intrinsics: (B, 4): fx, fy, cx, cy in pixels.
     """
     height, width = inverse.shape[-2:]
@@ -73,23 +74,23 @@ def cosine(inverse: Tensor, slope_x: Tensor, slope_y: Tensor, intrinsics: Tensor
     return (inverse / (normal * ray).clamp_min(1e-12)).clamp(0, 1)
 
 
-def shadow(inverse: Tensor, pixel_metres: Tensor) -> Tensor:
-    """Pixels that a second viewpoint on the camera's +x axis cannot see: projector shadow, stereo occlusion.
+def occluded(inverse: Tensor, pixel_metres: Tensor) -> Tensor:
+    """Pixels that are occluded from a second viewpoint on the camera's x axis: projector shadow, stereo occlusion.
 
-    A pixel lies `d = f b w` columns further left there. Each row is drawn into the second view's columns, the
-    nearest surface wins, and a pixel that lies more than one column of disparity behind the winner is hidden. Lower
+    In the second view a pixel is `d = f b w` columns further left. Each row is projected into that view, and a pixel
+    is occluded if its disparity is more than one column below that of the nearest surface in its new column. Smaller
     steps would cast shadows narrower than a pixel.
 
     Args:
         inverse: (B, H, W) in 1/m.
-        pixel_metres: (B,) focal length in pixels times baseline in metres; negative for a viewpoint at -x.
+        pixel_metres: (B,) focal length in pixels times baseline in metres; negative for a viewpoint towards -x.
 
     Returns:
         (B, H, W) bool; missing pixels are False.
     """
     disparity = pixel_metres[:, None, None] * inverse
     width = inverse.shape[-1]
-    margin = width  # surfaces nearer than this many columns of disparity fall outside of the drawing
+    margin = width  # surfaces with a larger disparity, in columns, are outside the projected row
     column = torch.arange(width, device=inverse.device, dtype=inverse.dtype) - disparity + margin
     left = column.floor().long().clamp(0, width + 2 * margin - 2)
     size = (*inverse.shape[:-1], width + 2 * margin)
@@ -101,22 +102,22 @@ def shadow(inverse: Tensor, pixel_metres: Tensor) -> Tensor:
 
 
 def returned_light(luminance: Tensor, cos: Tensor, depth: Tensor) -> Tensor:
-    """Light that comes back, relative to a white, facing surface at 0.5 m: albedo x cosine / distance squared.
+    """Returned light relative to a white frontal surface at 0.5 m: albedo x cosine / distance squared.
 
-    The albedo is guessed from the image's brightness, as nothing else is stored; so shade counts as dark paint.
+    The albedo is approximated by the image's brightness, so that a shaded surface counts as a dark one.
 
     Args:
-        luminance: (B, H, W) 0..1, as displayed (gamma 2.2).
-        cos: (B, H, W) of `cosine`.
+        luminance: (B, H, W) display values 0..1 (gamma 2.2).
+        cos: (B, H, W); see `cosine`.
         depth: (B, H, W) metres.
     """
     return luminance.clamp(0, 1) ** 2.2 * cos * (0.5 / depth.clamp_min(0.05)) ** 2
 
 
-def displaced(inverse: Tensor, slope_x: Tensor, slope_y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
-    """Inverse depth at pixels shifted by (dx, dy): the nearest pixel's surface, carried on by its own slope.
+def shift_surface(inverse: Tensor, slope_x: Tensor, slope_y: Tensor, dx: Tensor, dy: Tensor) -> Tensor:
+    """Inverse depth at positions shifted by (dx, dy) pixels: the nearest pixel's surface, extrapolated by its slope.
 
-    So edges stay edges: no value between the front and the back is made up.
+    Edges stay sharp: values between front and back do not occur.
     """
     height, width = inverse.shape[-2:]
     step_x, step_y = dx.round(), dy.round()
@@ -132,7 +133,7 @@ def displaced(inverse: Tensor, slope_x: Tensor, slope_y: Tensor, dx: Tensor, dy:
 
 
 def normal_noise(like: Tensor, generator: torch.Generator, spread: int = 0) -> Tensor:
-    """Standard normal noise shaped like (B, H, W), smooth over about `2 spread + 1` pixels; variance stays 1."""
+    """Noise of unit variance shaped like (B, H, W), correlated over about `2 spread + 1` pixels."""
     batch, height, width = like.shape
     noise = torch.randn(
         (batch, height + 2 * spread, width + 2 * spread), generator=generator, device=like.device, dtype=like.dtype
@@ -143,13 +144,13 @@ def normal_noise(like: Tensor, generator: torch.Generator, spread: int = 0) -> T
     return functional.avg_pool2d(noise[:, None], size, stride=1)[:, 0] * size
 
 
-def lost(probability: Tensor, generator: torch.Generator, spread: int = 1) -> Tensor:
-    """Draw (B, H, W) bool with the given probability, in blobs of about `2 spread + 1` pixels as sensors lose them."""
+def draw_dropout(probability: Tensor, generator: torch.Generator, spread: int = 1) -> Tensor:
+    """Draw (B, H, W) bool with the given probability, in blobs of about `2 spread + 1` pixels as in real sensors."""
     level: Tensor = torch.special.ndtr(normal_noise(probability, generator, spread))
     return level < probability
 
 
-def widened(mask_or_map: Tensor, radius: int) -> Tensor:
-    """The largest value within `radius` pixels (square window), (B, H, W)."""
+def dilate(values: Tensor, radius: int) -> Tensor:
+    """Maximum of (B, H, W) within a square window of the given radius in pixels; float."""
     size = 2 * radius + 1
-    return functional.max_pool2d(mask_or_map[:, None].float(), size, stride=1, padding=radius)[:, 0]
+    return functional.max_pool2d(values[:, None].float(), size, stride=1, padding=radius)[:, 0]

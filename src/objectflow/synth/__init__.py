@@ -1,1 +1,1 @@
-"""The simulated data set: objects, their symmetry, scenes, physics, rendering; one step a file."""
+"""The simulated data set: objects, scenes, physics, rendering and generation."""

@@ -1,7 +1,8 @@
-"""The data set's bytes: the same with any workers, after any kill; nothing stray; refusals in one line."""
+"""Generated data sets: the same bytes with any workers and after interruptions; errors in one line."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -19,8 +20,9 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs, open_sequences
 from objectflow.errors import DatasetError, ObjectflowError, StorageError
 from objectflow.runtime.pool import InProcess, Pool, Processes
-from objectflow.synth.generation import generate as generating
-from objectflow.synth.generation.generate import GenerationJob, GenerationProgress, generate
+from objectflow.synth.generation import jobs as generation_jobs
+from objectflow.synth.generation.generate import GenerationProgress, generate
+from objectflow.synth.generation.jobs import GenerationJob
 
 SCRIPT = Path(fake_scenes.__file__)
 PAIRS, SEQUENCES = GenerationJob("pairs", "train", 20, 1), GenerationJob("sequences", "train", 5, len(FRAMES))
@@ -28,7 +30,7 @@ PAIRS, SEQUENCES = GenerationJob("pairs", "train", 20, 1), GenerationJob("sequen
 
 @pytest.fixture(autouse=True)
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(generating, "ROWS_A_SHARD", 8)
+    monkeypatch.setattr(generation_jobs, "ROWS_A_SHARD", 8)
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def test_layout_counts_and_order(tmp_path: Path, pool: Pool) -> None:
     assert made is not None
     assert made == Manifest.read(tmp_path / "a")
     assert [shard.rows for shard in made.parts["train"].shards] == [8, 8, 4]
-    # A sequence's frames stay in one shard: 4 sequences of 2 frames, then the fifth.
+    # The frames of a sequence stay in one shard: 4 sequences of 2 frames, then the fifth.
     assert [shard.rows for shard in made.parts["train-sequences"].shards] == [8, 2]
     assert made.parts["train"].scenes == 20
     assert made.parts["train"].rejected["sinks"] > 0
@@ -82,7 +84,7 @@ def test_views_share_a_scene_and_stay_in_one_shard(tmp_path: Path) -> None:
     assert len(set(rows.keys())) == 13
 
 
-def test_two_workers_give_the_bytes_of_one(tmp_path: Path, pool: Pool) -> None:
+def test_two_workers_give_the_same_bytes_as_one(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
     two = Processes(FakeScenes(delay=0.002), 2)
     try:
@@ -92,7 +94,7 @@ def test_two_workers_give_the_bytes_of_one(tmp_path: Path, pool: Pool) -> None:
     assert content(tmp_path / "one") == content(tmp_path / "two")
 
 
-def test_ray_gives_the_bytes_of_one(tmp_path: Path, pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray_gives_the_same_bytes_as_one_process(tmp_path: Path, pool: Pool, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray", reason="Ray is not installed (pip install objectflow[ray])")
     from objectflow.runtime.ray_pool import RayActors
 
@@ -112,7 +114,7 @@ def test_ray_gives_the_bytes_of_one(tmp_path: Path, pool: Pool, monkeypatch: pyt
         failing.close()
 
 
-def test_a_ray_cluster_that_is_not_there_is_one_line() -> None:
+def test_a_missing_ray_cluster_is_a_one_line_error() -> None:
     pytest.importorskip("ray", reason="Ray is not installed (pip install objectflow[ray])")
     from objectflow.runtime.ray_pool import RayActors
 
@@ -128,7 +130,7 @@ def test_runs_of_a_queue_make_the_same_bytes(tmp_path: Path, pool: Pool) -> None
     assert content(tmp_path / "one") == content(tmp_path / "queue")
 
 
-def test_killed_at_ten_moments_and_continued(tmp_path: Path, pool: Pool) -> None:
+def test_a_run_that_is_killed_ten_times_and_continued_gives_the_same_bytes(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
     out = tmp_path / "killed"
     moments = random.Random(0)
@@ -150,7 +152,7 @@ def test_killed_at_ten_moments_and_continued(tmp_path: Path, pool: Pool) -> None
     assert content(out) == content(tmp_path / "one")
 
 
-def test_a_killed_runs_temporary_is_removed_and_a_living_runs_is_not(tmp_path: Path, pool: Pool) -> None:
+def test_temporary_files_of_killed_runs_alone_are_removed(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
     (tmp_path / "a").mkdir()
     process = subprocess.Popen([sys.executable, "-c", "pass"])
@@ -204,7 +206,28 @@ def test_a_folder_of_another_run_is_refused_and_left_alone(
     assert content(tmp_path / "a") == before
 
 
-def test_a_file_in_the_folders_place_and_no_rows_are_refused(tmp_path: Path, pool: Pool) -> None:
+def test_a_set_of_the_preset_s_former_name_is_continued(tmp_path: Path, pool: Pool) -> None:
+    old = {"preset": "wild", "wild": {"gap": [3, 60]}, "size": [16, 12]}
+    new = {"preset": "clutter", "clutter": {"gap": [3, 60]}, "size": [16, 12]}
+    generate(tmp_path / "a", [PAIRS], pool, seed=0, settings=old)
+    assert Manifest.read(tmp_path / "a").settings == new
+    kept = tmp_path / "a" / "train-00000-of-00003.parquet"
+    before = kept.read_bytes()
+    (tmp_path / "a" / "train-00001-of-00003.parquet").unlink()
+    made = generate(tmp_path / "a", [PAIRS], pool, seed=0, settings=new)
+    assert made is not None
+    assert made.settings == new
+    assert json.loads((tmp_path / "a" / "manifest.json").read_text())["settings"] == new
+    assert kept.read_bytes() == before
+    generate(tmp_path / "b", [PAIRS], pool, seed=0, settings=new)
+    for a, b in zip(open_pairs(tmp_path / "a"), open_pairs(tmp_path / "b"), strict=True):
+        assert a.key == b.key
+        assert (a.curr.color == b.curr.color).all()
+    with pytest.raises(DatasetError, match=r"clutter\.gap \[3, 60\], not \[3, 30\]"):
+        generate(tmp_path / "a", [PAIRS], pool, seed=0, settings={**new, "clutter": {"gap": [3, 30]}})
+
+
+def test_a_file_as_output_and_zero_rows_are_refused(tmp_path: Path, pool: Pool) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(DatasetError, match="is a file, not a folder"):
         run(tmp_path / "file", pool)
@@ -213,7 +236,7 @@ def test_a_file_in_the_folders_place_and_no_rows_are_refused(tmp_path: Path, poo
     assert not (tmp_path / "a").exists()
 
 
-def test_a_worker_that_dies_is_one_line_and_leaves_no_folder(tmp_path: Path) -> None:
+def test_a_worker_that_dies_is_a_one_line_error_and_leaves_no_folder(tmp_path: Path) -> None:
     two = Processes(FakeScenes(dies_at=2), 2)
     try:
         with pytest.raises(DatasetError, match=r"worker process ended \(exit code 9"):
@@ -223,7 +246,7 @@ def test_a_worker_that_dies_is_one_line_and_leaves_no_folder(tmp_path: Path) -> 
     assert not (tmp_path / "a").exists()
 
 
-def test_a_workers_error_reaches_the_caller_as_it_is(tmp_path: Path) -> None:
+def test_a_workers_error_reaches_the_caller_unchanged(tmp_path: Path) -> None:
     two = Processes(FakeScenes(fails_at=12), 2)
     try:
         with pytest.raises(ObjectflowError, match=r"^the scene cannot be made$"):
@@ -259,7 +282,7 @@ def _command(pid: int) -> bytes:
         return b""
 
 
-def test_a_full_disk_is_one_line_and_keeps_finished_shards(
+def test_a_full_disk_is_a_one_line_error_and_keeps_finished_shards(
     tmp_path: Path, pool: Pool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run(tmp_path / "one", pool)
@@ -267,7 +290,7 @@ def test_a_full_disk_is_one_line_and_keeps_finished_shards(
 
     def full(descriptor: int) -> None:
         calls.append(descriptor)
-        if len(calls) > 2:  # the first shard's file and folder; then the second shard's file
+        if len(calls) > 2:  # after the first shard's file and folder, at the second shard's file
             raise OSError(28, "No space left on device")
         sync(descriptor)
 
@@ -280,7 +303,7 @@ def test_a_full_disk_is_one_line_and_keeps_finished_shards(
     assert content(tmp_path / "a") == content(tmp_path / "one")
 
 
-def test_a_disk_that_is_really_full(tmp_path: Path, pool: Pool) -> None:
+def test_a_really_full_disk_keeps_finished_shards(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
     disk = tmp_path / "disk"
     disk.mkdir()

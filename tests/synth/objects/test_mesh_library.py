@@ -1,4 +1,4 @@
-"""Mesh folders: layouts, sizes, textures, convex parts, the cache, and what is broken."""
+"""Mesh folders: layouts, sizes, textures, convex parts, the cache, and broken files."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from objectflow.errors import DatasetError
 from objectflow.synth.objects import convex_parts, mesh_library
 from objectflow.synth.objects.mesh_files import read_mesh
 from objectflow.synth.objects.mesh_library import SHAPENET_SYNSETS, MeshLibrary
+from objectflow.synth.objects.mixed_library import MeshFolder, open_library
 from objectflow.synth.objects.model import ModelRef
-from objectflow.synth.objects.procedural import open_library
 
 MESHES = SHARED / "data" / "meshes"
 
@@ -66,7 +66,7 @@ def write_shapenet(folder: Path) -> None:
         cv2.imwrite(str(place.parent / "images" / "t.png"), np.full((8, 8, 3), (255, 0, 0), np.uint8))  # blue
 
 
-def test_the_paper_has_28_synsets_and_so_has_the_list() -> None:
+def test_the_list_has_28_synsets_like_the_paper() -> None:
     assert len(SHAPENET_SYNSETS) == 28
     assert len(set(SHAPENET_SYNSETS.values())) == 28
 
@@ -80,12 +80,12 @@ def test_a_plain_folder_is_split_without_overlap(tmp_path: Path, cache: Path) ->
     assert splits == [list(MeshLibrary(tmp_path / "boxes", cache).refs(split)) for split in ("train", "val", "test")]
 
 
-def test_a_folder_opens_as_a_mesh_library_with_a_cache_of_the_user(
+def test_a_folder_opens_as_a_mesh_library_with_a_cache_in_the_user_s_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
     write_boxes(tmp_path / "boxes", 3)
-    assert isinstance(open_library(tmp_path / "boxes"), MeshLibrary)
+    assert isinstance(open_library(MeshFolder(tmp_path / "boxes")), MeshLibrary)
     assert list((tmp_path / "user" / "objectflow" / "meshes").glob("folder-*.json"))
 
 
@@ -100,33 +100,33 @@ def test_a_stl_becomes_an_object(tmp_path: Path, cache: Path) -> None:
     assert model.uv.min() >= 0
     assert model.uv.max() <= 1
     assert sum(ConvexHull(part).volume for part in model.parts) == pytest.approx(0.1 * 0.061 * 0.03, rel=0.02)
-    again = library.load(model.ref)
+    again = library.load(ModelRef("boxes", "box1.stl"))
     assert np.array_equal(again.vertices, model.vertices)
     assert all(np.array_equal(a, b) for a, b in zip(again.parts, model.parts, strict=True))
 
 
-def test_the_second_load_solves_nothing(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_load_uses_the_cache(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_boxes(tmp_path / "boxes", 1)
     first = MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box0.stl"))
     monkeypatch.setattr(mesh_library, "decompose", lambda *_: pytest.fail("solved again"))
     second = MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box0.stl"))
     assert len(second.parts) == len(first.parts)
     assert second.symmetry == first.symmetry
-    write_boxes(tmp_path / "boxes", 1, size=0.2)  # other content, the same name
+    write_boxes(tmp_path / "boxes", 1, size=0.2)  # other content under the same name
     with pytest.raises(pytest.fail.Exception):
         MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box0.stl"))
 
 
-def test_hollow_meshes_stay_hollow(tmp_path: Path) -> None:
+def test_hollow_meshes_have_hollow_parts(tmp_path: Path) -> None:
     tube = trimesh.creation.annulus(0.03, 0.04, 0.08, sections=24)
     parts = convex_parts.decompose(np.asarray(tube.vertices), np.asarray(tube.faces, dtype=np.int32), "tube")
     assert 4 <= len(parts) <= convex_parts.MAX_PARTS
     for part in parts:
-        assert (ConvexHull(part).equations[:, 3] > 0).any()  # the tube's middle lies outside
+        assert (ConvexHull(part).equations[:, 3] > 0).any()  # the tube's centre is outside
 
 
-def test_a_failing_solver_leaves_the_hull_and_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(convex_parts, "_solve", lambda *_: ())
+def test_if_the_solver_fails_the_hull_is_used_with_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(convex_parts, "run_solver", lambda *_: ())
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
     with pytest.warns(UserWarning, match=r"ball\.stl"):
         (hull,) = convex_parts.decompose(np.asarray(ball.vertices), np.asarray(ball.faces, dtype=np.int32), "ball.stl")
@@ -134,7 +134,7 @@ def test_a_failing_solver_leaves_the_hull_and_a_warning(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(("size", "kept"), [(0.1, True), (0.4, True), (1.0, False), (250.0, False), (0.001, False)])
-def test_sizes_that_cannot_be_metres_become_hand_sizes(tmp_path: Path, cache: Path, size: float, kept: bool) -> None:
+def test_implausible_sizes_in_metres_are_rescaled(tmp_path: Path, cache: Path, size: float, kept: bool) -> None:
     write_boxes(tmp_path / "boxes", 1, size)
     model = MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box0.stl"))
     longest = np.ptp(model.vertices, axis=0).max()
@@ -176,7 +176,7 @@ def test_broken_files_are_named_skipped_and_counted(tmp_path: Path, cache: Path)
     assert len(library.refs("train")) + len(library.refs("val")) + len(library.refs("test")) == 4
     with pytest.raises(DatasetError, match=r"noise\.stl"):
         library.load(ModelRef("things", "noise.stl"))
-    trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / "noise.stl")  # mended: looked at again
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / "noise.stl")  # repaired files are read again
     assert set(MeshLibrary(folder, cache).broken) == {"empty.obj", "torn.glb", "flat.obj"}
     json.loads(next(cache.glob("folder-*.json")).read_text())
 
@@ -200,7 +200,7 @@ def test_folders_without_meshes_are_refused(tmp_path: Path, cache: Path) -> None
         one.refs("all")
 
 
-def test_a_closed_mesh_that_is_inside_out_is_turned(tmp_path: Path, cache: Path) -> None:
+def test_a_closed_mesh_that_is_inside_out_is_inverted(tmp_path: Path, cache: Path) -> None:
     write_boxes(tmp_path / "boxes", 1)
     mesh = trimesh.load_mesh(tmp_path / "boxes" / "box0.stl")
     mesh.invert()
@@ -215,9 +215,9 @@ def test_real_meshes(cache: Path) -> None:
     library = MeshLibrary(MESHES, cache)
     assert not library.broken
     assert sum(len(library.refs(split)) for split in ("train", "val", "test")) == 14
-    torch = library.load(ModelRef("meshes", "flashlight.stl"))
-    (axis,) = torch.symmetry
+    flashlight = library.load(ModelRef("meshes", "flashlight.stl"))
+    (axis,) = flashlight.symmetry
     assert axis.order == 0
     assert abs(axis.axis[2]) > 0.999
-    assert np.ptp(torch.vertices, axis=0).max() == pytest.approx(0.139, abs=0.001)
+    assert np.ptp(flashlight.vertices, axis=0).max() == pytest.approx(0.139, abs=0.001)
     assert len(read_mesh(MESHES / "bowl.stl").faces) == 5000

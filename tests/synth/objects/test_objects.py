@@ -1,4 +1,4 @@
-"""The procedural library: closed, outward, sized as in life, covered by convex parts, symmetric as it says."""
+"""The procedural library: closed surfaces, real sizes, convex parts, and correct symmetries."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from scipy.spatial import ConvexHull, cKDTree
 from objectflow.errors import DatasetError
 from objectflow.geometry.se3 import so3_exp
 from objectflow.synth.objects.model import ModelRef, ObjectModel
-from objectflow.synth.objects.procedural import CATEGORIES, ProceduralLibrary, open_library
-from objectflow.synth.objects.symmetry_detection import closest_on_triangles, detect
+from objectflow.synth.objects.procedural import CATEGORIES, ProceduralLibrary
+from objectflow.synth.objects.self_registration import closest_on_triangles
+from objectflow.synth.objects.symmetry_detection import detect_symmetry
 from objectflow.typing import Float64Array
 
 LIBRARY = ProceduralLibrary()
@@ -33,12 +34,12 @@ def merged(model: ObjectModel) -> trimesh.Trimesh:
 
 
 def outside_distance(points: Float64Array, hull: Float64Array) -> Float64Array:
-    """Metres beyond the furthest plane of a hull; negative inside. A lower bound of the distance."""
+    """Signed distance in metres to the furthest plane of a hull: a lower bound of the distance, negative inside."""
     equations = ConvexHull(hull).equations
     return np.asarray((points @ equations[:, :3].T + equations[:, 3]).max(axis=1))
 
 
-def test_there_are_as_many_models_as_in_the_paper_and_no_two_splits_share_one() -> None:
+def test_splits_are_disjoint_and_as_large_as_in_the_paper() -> None:
     assert len(CATEGORIES) == 28
     refs = {split: list(LIBRARY.refs(split)) for split in ("train", "val", "test")}
     assert {split: len(names) for split, names in refs.items()} == {"train": 21_899, "val": 3_186, "test": 6_509}
@@ -66,13 +67,10 @@ def test_unknown_names_are_refused_in_one_line() -> None:
         assert "\n" not in str(error.value)
 
 
-def test_without_a_folder_the_library_is_the_procedural_one() -> None:
-    assert isinstance(open_library(None), ProceduralLibrary)
-
-
 def test_a_model_is_the_same_in_another_process() -> None:
     code = (
-        "import hashlib; from objectflow.synth.objects.procedural import *; "
+        "import hashlib; from objectflow.synth.objects.model import ModelRef; "
+        "from objectflow.synth.objects.procedural import ProceduralLibrary; "
         "m = ProceduralLibrary().load(ModelRef('mug', 'mug-00700')); "
         "print(hashlib.sha256(m.vertices.tobytes() + m.faces.tobytes() + m.uv.tobytes()).hexdigest())"
     )
@@ -114,40 +112,40 @@ def test_parts_and_surface_agree(category: str) -> None:
         mesh = merged(model)
         points, _ = trimesh.sample.sample_surface(mesh, 1500, seed=0)
         beyond = np.min([outside_distance(points, part) for part in model.parts], axis=0)
-        assert np.quantile(beyond, 0.98) < 0.003  # the surface lies in the parts, but for small trim
+        assert np.quantile(beyond, 0.98) < 0.003  # the parts cover the surface except for small details
         assert beyond.max() < 0.012
         dense, _ = trimesh.sample.sample_surface(mesh, 30_000, seed=0)
         away, _ = cKDTree(np.concatenate([dense, model.vertices])).query(np.concatenate(model.parts))
-        # No part sticks out. A clock's rim reaches down into its solid body, where it does no harm.
+        # No part protrudes. The parts of a clock's rim extend into its solid body, where this has no effect.
         assert np.max(away) < (0.010 if category == "clock" else 0.006)
 
 
 @pytest.mark.parametrize("category", ["bowl", "mug", "cup", "basket", "pan", "plate"])
-def test_things_can_fall_into_hollow_models(category: str) -> None:
+def test_objects_can_fall_into_hollow_models(category: str) -> None:
     for model in models(category):
         floor, wall = model.parts[0], model.parts[-1 if category == "bowl" else 1]
         height = np.linspace(floor[:, 2].max() + 0.0005, wall[:, 2].max(), 20)
         column = np.column_stack([np.tile(floor[:, :2].mean(axis=0), (20, 1)), height])
         below = column[0] - [0, 0, 0.001]
-        assert outside_distance(below[None], floor)[0] < 0  # the column stands on the floor
+        assert outside_distance(below[None], floor)[0] < 0  # the column starts on the floor
         assert all((outside_distance(column, part) > 0).all() for part in model.parts)
         assert height[-1] - height[0] > 0.008
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
-def test_named_axes_turn_the_vertices_into_themselves(category: str) -> None:
+def test_symmetry_axes_map_the_vertices_to_themselves(category: str) -> None:
     for model in models(category):
         tree = cKDTree(model.vertices)
-        flat_sided = len(model.vertices) < 60  # the middle of a side is a vertex on some sides only
+        flat_sided = len(model.vertices) < 60  # only some sides have a vertex in the middle
         for axis in model.symmetry:
             assert np.linalg.norm(axis.axis) == pytest.approx(1)
             angle = 2 * np.pi / (axis.order or 4)  # round sections have a multiple of four points
-            turned = model.vertices @ so3_exp(angle * np.array(axis.axis)).T
+            rotated = model.vertices @ so3_exp(angle * np.array(axis.axis)).T
             if flat_sided:
-                nearest = closest_on_triangles(turned[:, None], model.vertices[model.faces][None])
-                away = np.linalg.norm(nearest - turned[:, None], axis=-1).min(axis=1)
+                nearest = closest_on_triangles(rotated[:, None], model.vertices[model.faces][None])
+                away = np.linalg.norm(nearest - rotated[:, None], axis=-1).min(axis=1)
             else:
-                away = tree.query(turned)[0]
+                away = tree.query(rotated)[0]
             assert away.max() < 1e-9
 
 
@@ -158,8 +156,8 @@ def test_named_axes_turn_the_vertices_into_themselves(category: str) -> None:
         *(("screwdriver", 1), ("book", 0), ("hammer", 0), ("phone", 4), ("cup", 1), ("pyramid", 1), ("lamp", 4)),
     ],
 )
-def test_no_axis_is_left_out(category: str, number: int) -> None:
-    """Detection, which knows nothing of the construction, finds the same orders."""
+def test_no_axis_is_missing(category: str, number: int) -> None:
+    """Detection, which is independent of the construction, finds the same orders."""
     model = LIBRARY.load(ModelRef(category, f"{category}-{number:05d}"))
-    found = detect(model.vertices, model.faces)
+    found = detect_symmetry(model.vertices, model.faces)
     assert Counter(axis.order for axis in found) == Counter(axis.order for axis in model.symmetry)

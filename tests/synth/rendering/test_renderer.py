@@ -1,4 +1,4 @@
-"""The renderer against Embree, against pictures worked out by hand, and against bad input."""
+"""The renderer against Embree, against analytic images, and with invalid input."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
+from objectflow.synth.objects.procedural import ProceduralLibrary
+from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays
+from objectflow.synth.rendering.renderer import Renderer
 from objectflow.typing import Float64Array, UInt8Array
 
 mujoco = pytest.importorskip("mujoco", reason="rendering needs the extra [synth]")
 pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
 
-from objectflow.synth.objects.procedural import open_library  # noqa: E402
-from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays  # noqa: E402
-from objectflow.synth.rendering.renderer import Renderer  # noqa: E402
 
 WIDTH, HEIGHT = 96, 72
 AMBIENT, DIFFUSE = 0.25, 0.5
@@ -39,7 +39,7 @@ def look_at(eye: tuple[float, float, float], target: tuple[float, float, float])
 
 
 def empty_scene(light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
-    """A floor, a camera with an off-centre principal point, and four lights, two of them dark."""
+    """A floor, a camera with an off-centre principal point, and four lights, two of them off."""
     spec = mujoco.MjSpec()
     spec.visual.headlight.active = False
     world = spec.worldbody
@@ -70,7 +70,7 @@ def empty_scene(light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
 def add_object(
     spec: Any, number: int, vertices: NDArray[Any], faces: NDArray[Any], uv: NDArray[Any], texture: UInt8Array
 ) -> None:
-    """One object, textured, with a hull in group 3 that is twice its size and must not be seen."""
+    """Add a textured object with a hull in group 3 that is twice its size and must not be visible."""
     name = f"{number}"
     spec.add_mesh(
         name=f"seen_{name}",
@@ -114,7 +114,7 @@ def cube_scene(half: float, light: tuple[float, float, float] = (0.3, -0.4, 1.5)
 
 
 def poses(*positions: tuple[float, float, float]) -> Float64Array:
-    """(1, N, 4, 4), not turned."""
+    """(1, N, 4, 4) without rotation."""
     result = np.tile(np.eye(4), (1, len(positions), 1, 1))
     result[0, :, :3, 3] = positions
     return result
@@ -130,7 +130,7 @@ def test_labels_and_depth_equal_embree(renderer: Renderer) -> None:
     pytest.importorskip("embreex", reason="the comparison needs embreex")
     from trimesh.ray.ray_pyembree import RayMeshIntersector
 
-    library = open_library(None)
+    library = ProceduralLibrary()
     refs = library.refs("test")
     models = [library.load(refs[index]) for index in range(0, len(refs), len(refs) // 9)]
     spec = empty_scene()
@@ -145,7 +145,7 @@ def test_labels_and_depth_equal_embree(renderer: Renderer) -> None:
     cameras = np.stack([look_at((0, -0.5, 0.5), (0, 0, 0.05)), look_at((0.4, 0.3, 0.7), (0, 0, 0))])
     frames = renderer.render(compiled, world_T_objects, cameras)
 
-    # The camera of `empty_scene`, from its numbers.
+    # The intrinsics of the camera of `empty_scene`.
     column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     cx, cy = (WIDTH - 1) / 2 - 3, (HEIGHT - 1) / 2 + 2
     rays = np.stack([(column - cx) / 71, (row - cy) / 70, np.ones(column.shape)], axis=-1).reshape(-1, 3)
@@ -169,14 +169,14 @@ def test_labels_and_depth_equal_embree(renderer: Renderer) -> None:
         depth[np.isinf(depth)] = 0
         found = frames.labels[frame, camera].ravel()
         np.testing.assert_allclose(frames.depth[frame, camera].ravel(), depth, atol=1e-5)
-        # A ray that meets two surfaces at one depth, where objects cross, may see either.
+        # Where objects intersect, a ray may hit two surfaces at the same depth.
         assert (found != labels).sum() <= 1
         seen |= set(found.tolist())
     assert seen == set(range(len(models) + 1))
 
 
 def test_rays_are_those_of_the_model_s_camera() -> None:
-    """Against the rays that mujoco-warp makes of the same camera."""
+    """Compared with the rays of mujoco-warp for the same camera."""
     import mujoco_warp
     import warp
 
@@ -186,28 +186,28 @@ def test_rays_are_those_of_the_model_s_camera() -> None:
     np.testing.assert_allclose(pixel_rays(model, 2 * WIDTH, 2 * HEIGHT, 1), theirs, atol=1e-6)
 
 
-def test_a_camera_given_by_its_opening_alone() -> None:
+def test_a_camera_given_by_its_field_of_view_alone() -> None:
     model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><camera name='camera' fovy='90'/></worldbody></mujoco>")
     camera = camera_of(model, 320, 240)
     assert (camera.fx, camera.fy) == pytest.approx((120, 120))
     assert (camera.cx, camera.cy) == (159.5, 119.5)
 
 
-def test_light_shadow_and_depth_of_a_cube_seen_from_above(renderer: Renderer) -> None:
-    """A light far above: the floor is lit by ambient and diffuse light, and below a floating cube by ambient alone."""
+def test_light_shadow_and_depth_of_a_cube_from_above(renderer: Renderer) -> None:
+    """With a distant light above, the floor has ambient and diffuse light, and only ambient light below a cube."""
     model = cube_scene(0.05, light=(0, 0, 1000))
     side = look_at((0, -0.9, 0.25), (0, 0, 0.05))
     frames = renderer.render(model, poses((0, 0, 0.2)), np.stack([look_at((0, 0, 1), (0, 0, 0)), side]))
     color, depth, labels = frames.color[0, 0], frames.depth[0, 0], frames.labels[0, 0]
     assert frames.color.shape == (1, 2, HEIGHT, WIDTH, 3)
-    # From above: top of the cube at z = 0.25, the floor at 0.
+    # From above: the top of the cube is at z = 0.25, the floor at 0.
     np.testing.assert_allclose(depth[labels == 1], 0.75, atol=1e-6)
     np.testing.assert_allclose(depth[labels == 0], 1.0, atol=1e-6)
     width = (labels == 1).any(axis=0).sum()
     assert abs(width - 0.1 / 0.75 * 71) <= 1
     assert abs(color[labels == 0].astype(float) - 255 * (AMBIENT + DIFFUSE)).max() < 2
     assert abs(color[labels == 1].astype(float) - 128 * (AMBIENT + DIFFUSE)).max() < 2
-    # From the side: the floor below the cube is dark.
+    # From the side: the floor below the cube is in shadow.
     column, row = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
     camera = camera_of(model, WIDTH, HEIGHT)
     rays = np.stack([(column - camera.cx) / camera.fx, (row - camera.cy) / camera.fy, np.ones(row.shape)], axis=-1)
@@ -220,8 +220,8 @@ def test_light_shadow_and_depth_of_a_cube_seen_from_above(renderer: Renderer) ->
     assert frames.color[0, 1][beside].min() > 255 * AMBIENT + 20
 
 
-def test_textures_lie_as_mujoco_has_them(renderer: Renderer) -> None:
-    """A square that faces the camera: v runs downwards, so that 0 is the first row of the texture."""
+def test_textures_have_mujoco_s_orientation(renderer: Renderer) -> None:
+    """On a square that faces the camera, v runs downwards from the first row of the texture."""
     texture = np.zeros((64, 64, 3), dtype=np.uint8)
     texture[:32, :32], texture[:32, 32:] = (255, 0, 0), (0, 255, 0)
     texture[32:, :32], texture[32:, 32:] = (0, 0, 255), (255, 255, 255)
@@ -232,7 +232,7 @@ def test_textures_lie_as_mujoco_has_them(renderer: Renderer) -> None:
     add_object(spec, 1, corners, faces, uv, texture)
     camera = look_at((0, 0, 0.6), (0, 0, 0))
     color = renderer.render(spec.compile(), poses((0, 0, 0.2)), camera[None]).color[0, 0] > 100
-    # The camera looks down, y up in the image: a corner at (x, y) shows at (cx + 71 x / 0.4, cy - 70 y / 0.4).
+    # The camera looks down with y up in the image: a point (x, y) projects to (cx + 71 x / 0.4, cy - 70 y / 0.4).
     cx, cy = (WIDTH - 1) / 2 - 3, (HEIGHT - 1) / 2 + 2
     found = {
         (x, y): tuple(color[round(cy - 70 * y * 0.05 / 0.4), round(cx + 71 * x * 0.05 / 0.4)].tolist())
@@ -247,20 +247,20 @@ def test_textures_lie_as_mujoco_has_them(renderer: Renderer) -> None:
     }
 
 
-def test_four_samples_smooth_colour_and_leave_the_rest(renderer: Renderer) -> None:
+def test_four_samples_smooth_colour_and_change_nothing_else(renderer: Renderer) -> None:
     model = cube_scene(0.06)
     arguments = (model, poses((0.02, 0.01, 0.06)), look_at((0.3, -0.5, 0.4), (0, 0, 0))[None])
     one, four = renderer.render(*arguments), Renderer(WIDTH, HEIGHT, samples=4).render(*arguments)
     np.testing.assert_array_equal(one.depth, four.depth)
     np.testing.assert_array_equal(one.labels, four.labels)
-    # As if rendered at 8 times the size and averaged: four samples must come nearer to that than one.
+    # Four samples must be closer than one to an image that is rendered at 8 times the size and averaged.
     fine = Renderer(8 * WIDTH, 8 * HEIGHT).render(*arguments).color[0, 0].astype(float)
     mean = fine.reshape(HEIGHT, 8, WIDTH, 8, 3).mean(axis=(1, 3))
     error = [float(np.square(frames.color[0, 0] - mean).mean()) for frames in (one, four)]
     assert error[1] < 0.35 * error[0]
 
 
-def test_frames_and_cameras_together_are_those_one_by_one(renderer: Renderer) -> None:
+def test_a_batch_of_frames_and_cameras_equals_single_images(renderer: Renderer) -> None:
     model = cube_scene(0.05)
     world_T_objects = np.concatenate([poses((0, 0, 0.05)), poses((0.1, 0.05, 0.1)), poses((-0.1, 0, 0.05))])
     cameras = np.stack([look_at((0, -0.5, 0.5), (0, 0, 0)), look_at((0.6, 0, 0.3), (0, 0, 0))])
@@ -273,14 +273,14 @@ def test_frames_and_cameras_together_are_those_one_by_one(renderer: Renderer) ->
 
 
 def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd: pytest.CaptureFixture[str]) -> None:
-    """Asked for all it can say, Warp prints when it loads a module; scenes differ in size, number and lights."""
+    """At log level DEBUG, Warp prints when it loads a module. The scenes differ in size, objects and lights."""
     import warp
 
     camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
     renderer.render(cube_scene(0.05), poses((0, 0, 0.05)), camera)
-    kernels = dict(renderer._kernels)
+    kernels = dict(renderer.kernels)
     renderer.render(cube_scene(0.07), poses((0, 0, 0.07)), camera)
-    assert renderer._kernels == kernels
+    assert renderer.kernels == kernels
     level, warp.config.log_level = warp.config.log_level, warp.LOG_DEBUG
     try:
         capfd.readouterr()
@@ -292,12 +292,12 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
             spec.lights[0].type = mujoco.mjtLightType.mjLIGHT_SPOT
             spec.lights[1].attenuation = [1, 0.1 * number, 0]
             spec.visual.headlight.active = number == 3
-            # A renderer that has no kernel yet, so that what goes into one is looked at again.
+            # A renderer without a kernel, so that all values that are compiled in are checked again.
             fresh = Renderer(WIDTH, HEIGHT)
             fresh.render(spec.compile(), poses(*[(0.1 * k, 0, size) for k in range(number)]), camera)
-            assert len(fresh._kernels) == 1
+            assert len(fresh.kernels) == 1
         assert "Module" not in capfd.readouterr().out
-        # A module that is new does say so.
+        # A new module is reported.
         other = mujoco.MjModel.from_xml_string(
             "<mujoco><worldbody><camera name='camera'/><light pos='0 0 2'/>"
             "<geom type='sphere' size='.1'/></worldbody></mujoco>"
@@ -309,7 +309,7 @@ def test_nothing_is_compiled_from_the_second_scene_on(renderer: Renderer, capfd:
 
 
 def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
-    """Without a walk through all that Python holds, which comes too late: a model's megabytes are not Python's."""
+    """Without a full garbage collection, which runs too late: Python does not count the memory of a model."""
     model = cube_scene(0.05)
     watch = weakref.ref(model)
     gc.disable()
@@ -324,7 +324,7 @@ def test_a_model_is_freed_once_it_is_rendered(renderer: Renderer) -> None:
 def test_no_versions_are_looked_up_from_the_second_scene_on(
     renderer: Renderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """mujoco-warp asks for MuJoCo's version again and again, and each answer reads a file."""
+    """mujoco-warp looks up MuJoCo's version repeatedly, and each lookup reads a file."""
     looked_up: list[str] = []
     version = importlib.metadata.version
     monkeypatch.setattr(importlib.metadata, "version", lambda name: (looked_up.append(name), version(name))[1])
@@ -335,7 +335,7 @@ def test_no_versions_are_looked_up_from_the_second_scene_on(
     assert looked_up == []
 
 
-def test_bad_input(renderer: Renderer) -> None:
+def test_invalid_input_is_refused(renderer: Renderer) -> None:
     model = cube_scene(0.05)
     camera = look_at((0, -0.5, 0.5), (0, 0, 0))[None]
     with pytest.raises(DatasetError, match=r"it needs \(1, 1, 4, 4\)"):
@@ -346,7 +346,7 @@ def test_bad_input(renderer: Renderer) -> None:
         Renderer(8, 8, device="tpu")  # type: ignore[arg-type]
 
 
-def test_cuda_where_there_is_none() -> None:
+def test_cuda_is_refused_on_a_machine_without_it() -> None:
     import warp
 
     if warp.is_cuda_available():
@@ -357,7 +357,7 @@ def test_cuda_where_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("missing", ["warp", "mujoco_warp"])
-def test_without_the_extra(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=r"objectflow\[synth\]"):
         Renderer(8, 8)

@@ -1,4 +1,4 @@
-"""What the renderer reads is what mujoco-warp would have read, and a ray looks for meshes where they are."""
+"""The renderer reads the same arrays as mujoco-warp, and the bounding boxes fit the meshes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from objectflow.synth.rendering.placement import Placement, object_numbers
+from objectflow.synth.rendering.warp_scene import MARGIN, WarpModel, tighten_bounds
+from objectflow.synth.rendering.warp_setup import import_tracer
+from objectflow.typing import Float32Array
+
 mujoco = pytest.importorskip("mujoco", reason="this needs the extra [synth]")
 pytest.importorskip("mujoco_warp", reason="this needs the extra [synth]")
-
-from objectflow.synth.rendering.placement import Placement, object_numbers  # noqa: E402
-from objectflow.synth.rendering.warp_scene import MARGIN, TracedModel, tighten  # noqa: E402
-from objectflow.synth.rendering.warp_setup import import_tracer  # noqa: E402
-from objectflow.typing import Float32Array
 
 HALF = (0.03, 0.02, 0.01)
 
 
 def make_model() -> Any:
-    """A floor, a ball, and a flat box as a mesh of which a corner is the origin: object 1."""
+    """A floor, a flat box whose corner is its origin (object 1), and a ball (object 2)."""
     corners = " ".join(
         f"{2 * HALF[0] * x} {2 * HALF[1] * y} {2 * HALF[2] * z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)
     )
@@ -46,14 +46,14 @@ READ = [
     "cam_intrinsic", "flex_edge", "nlight",
 ]  # fmt: skip
 NOT_READ_YET = "dof_tri_row"
-"""Nothing that MuJoCo's own model has."""
+"""An attribute that `mujoco.MjModel` does not have."""
 
 
 @pytest.mark.parametrize("name", [*READ, NOT_READ_YET])
-def test_a_model_reads_as_put_model_has_it(name: str) -> None:
+def test_a_model_has_the_values_of_put_model(name: str) -> None:
     warp, tracer = import_tracer()
     model = make_model()
-    expected, found = getattr(tracer.put_model(model), name), getattr(TracedModel(tracer, warp, model), name)
+    expected, found = getattr(tracer.put_model(model), name), getattr(WarpModel(tracer, warp, model), name)
     if isinstance(expected, int):
         assert found == expected
         return
@@ -62,13 +62,13 @@ def test_a_model_reads_as_put_model_has_it(name: str) -> None:
     np.testing.assert_array_equal(found.numpy(), expected.numpy())
 
 
-def test_boxes_fit_the_meshes_in_every_world_and_nothing_else_changes() -> None:
+def test_bounding_boxes_fit_the_meshes_in_every_world_and_others_stay() -> None:
     warp, _ = import_tracer()
     model = make_model()
-    # Frame 0 as it is made; frame 1 a metre up and an eighth of a turn about z.
-    turned = np.eye(4)
-    turned[:3, :3], turned[2, 3] = Rotation.from_euler("z", 45, degrees=True).as_matrix(), 1.0
-    poses = np.stack([np.stack([pose, np.eye(4)]) for pose in (np.eye(4), turned)])
+    # Frame 0 has the initial poses; in frame 1 object 1 is raised by a metre and rotated by 45 degrees about z.
+    raised = np.eye(4)
+    raised[:3, :3], raised[2, 3] = Rotation.from_euler("z", 45, degrees=True).as_matrix(), 1.0
+    poses = np.stack([np.stack([pose, np.eye(4)]) for pose in (np.eye(4), raised)])
     placement = Placement.of(model, object_numbers(model), poses, np.eye(4)[None])
     before = np.arange(18, dtype=np.float32).reshape(6, 3)
     refitted: list[bool] = []
@@ -78,7 +78,7 @@ def test_boxes_fit_the_meshes_in_every_world_and_nothing_else_changes() -> None:
         upper=warp.array(before, dtype=warp.vec3),
         bvh=SimpleNamespace(refit=lambda: refitted.append(True)),
     )
-    tighten(model, placement, context)
+    tighten_bounds(model, placement, context)
     lower, upper = context.lower.numpy().reshape(2, 3, 3), context.upper.numpy().reshape(2, 3, 3)
     assert_box(lower[0, 1], upper[0, 1], (0, 0, 0), (2 * HALF[0], 2 * HALF[1], 2 * HALF[2]))
     a, b = 2 * HALF[0] / math.sqrt(2), 2 * HALF[1] / math.sqrt(2)

@@ -1,10 +1,9 @@
-"""Scenes: plain data from one rng, inside the paper's ranges, objects apart at the start."""
+"""Scenes: drawn from one generator, within the paper's ranges, without overlaps at the start."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,38 +20,36 @@ from objectflow.errors import DatasetError
 from objectflow.geometry.pinhole import project
 from objectflow.geometry.se3 import inverse
 from objectflow.synth.objects.model import ModelRef, ObjectModel
-from objectflow.synth.objects.procedural import open_library
+from objectflow.synth.objects.procedural import ProceduralLibrary
 from objectflow.synth.scenes.appearance import draw_lights
-from objectflow.synth.scenes.initial_layout import CLEARANCE, Box, hang, meeting_heights
-from objectflow.synth.scenes.paper_scene import Scene, SceneSettings, View, draw_scene, draw_scene_and_models
+from objectflow.synth.scenes.initial_layout import CLEARANCE, Box, overlapping_lifts, place_boxes
+from objectflow.synth.scenes.paper_scene import SceneSettings, draw_paper_scene
+from objectflow.synth.scenes.scene_data import Scene, View
 from objectflow.typing import Float64Array
 
 SETTINGS = SceneSettings()
 
 
 def scene_of(seed: int, settings: SceneSettings = SETTINGS) -> Scene:
-    return draw_scene(np.random.default_rng(seed), open_library(None), "train", settings)
+    return draw_paper_scene(np.random.default_rng(seed), ProceduralLibrary(), "train", settings)[0]
 
 
-def test_the_same_rng_gives_the_same_scene_also_through_json() -> None:
+def test_the_same_seed_gives_the_same_scene() -> None:
     scene = scene_of(3)
     assert scene == scene_of(3)
     assert scene != scene_of(4)
-    assert Scene.from_dict(json.loads(json.dumps(scene.to_dict()))) == scene
-    with pytest.raises(DatasetError, match="not a scene"):
-        Scene.from_dict({"objects": []})
 
 
-def test_scenes_lie_in_the_paper_s_ranges() -> None:
-    library = open_library(None)
+def test_scenes_are_within_the_paper_s_ranges() -> None:
+    library = ProceduralLibrary()
     counts, lights = set[int](), set[int]()
     for seed in range(12):
-        scene, models = draw_scene_and_models(np.random.default_rng(seed), library, "val", SETTINGS)
+        scene, models = draw_paper_scene(np.random.default_rng(seed), library, "val", SETTINGS)
         counts.add(len(scene.objects))
         lights.add(len(scene.lights))
         assert 1 <= len(scene.objects) <= 30
         for item, model in zip(scene.objects, models, strict=True):
-            assert item.ref == model.ref
+            assert (item.category, item.name) == (model.category, model.name)
             longest = float(np.ptp(model.vertices, axis=0).max()) * item.scale
             assert 0.07 - 1e-9 <= longest <= 0.3 + 1e-9
             placed = model.vertices * item.scale @ item.world_T_object[:3, :3].T + item.position
@@ -68,14 +65,14 @@ def test_scenes_lie_in_the_paper_s_ranges() -> None:
     assert lights == {1, 2, 3, 4}
 
 
-def test_most_light_comes_from_all_sides_and_lamps_differ() -> None:
+def test_most_light_is_ambient_and_lamps_differ() -> None:
     ambient, direct, tints = [], [], set[tuple[float, ...]]()
     for seed in range(200):
         lights = draw_lights(np.random.default_rng(seed), (1, 4))
         ambient.append(sum(light.ambient[1] for light in lights))
         direct.append(sum(light.diffuse[1] for light in lights))
         tints |= {light.diffuse for light in lights}
-        # A white surface that all lamps face is neither dark nor much too bright.
+        # A white surface that faces all lamps is neither dark nor strongly overexposed.
         assert 0.6 < ambient[-1] + direct[-1] < 1.4
     assert np.mean(np.array(ambient) > np.array(direct)) > 0.9
     assert max(direct) / min(direct) > 2
@@ -93,7 +90,7 @@ def test_a_view_looks_at_its_target_with_the_image_level() -> None:
 
         assert np.linalg.det(view.world_T_camera[:3, :3]) == pytest.approx(1)
         assert pixel(view.target).tolist() == pytest.approx([camera.cx, camera.cy])
-        # What lies to the camera's right as one stands there is to the right at the same height; up is up.
+        # A point to the right of the camera is to the right in the image at the same height; a higher point is higher.
         right = np.add(view.target, (-0.1 * math.sin(azimuth), 0.1 * math.cos(azimuth), 0))
         assert pixel(right).tolist() == pytest.approx([camera.cx + 236.46 * 0.1 / 0.5, camera.cy])
         if elevation < 1.5:
@@ -107,47 +104,47 @@ def box(rng: np.random.Generator, spread: float) -> Box:
     return Box(rng.uniform(-spread, spread, 3), axes, rng.uniform(0.01, 0.15, 3))
 
 
-def meet(a: Box, b: Box) -> bool:
-    """Whether two boxes share a point, as a linear programme: |axes' (x - center)| <= half for both."""
+def overlap(a: Box, b: Box) -> bool:
+    """Whether two boxes share a point, by a linear programme: |axes' (x - center)| <= half for both."""
     rows = np.concatenate([s * each.axes.T for each in (a, b) for s in (1, -1)])
     limits = np.concatenate([s * each.axes.T @ each.center + each.half for each in (a, b) for s in (1, -1)])
     return bool(linprog(np.zeros(3), A_ub=rows, b_ub=limits, bounds=(None, None)).status == 0)
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_boxes_meet_for_the_lifts_that_a_linear_programme_finds(seed: int) -> None:
+def test_boxes_overlap_at_the_lifts_that_a_linear_programme_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b = box(rng, 0.1), box(rng, 0.1)
-    low, high = (float(value[0]) for value in meeting_heights(a, b.center[None], b.axes[None], b.half[None]))
+    low, high = (float(value[0]) for value in overlapping_lifts(a, b.center[None], b.axes[None], b.half[None]))
 
     def lifted(lift: float) -> Box:
         return Box(np.add(a.center, (0, 0, lift)), a.axes, a.half)
 
     if math.isinf(low):
-        assert not any(meet(lifted(lift), b) for lift in np.linspace(-0.6, 0.6, 13))
+        assert not any(overlap(lifted(lift), b) for lift in np.linspace(-0.6, 0.6, 13))
         return
-    assert not meet(lifted(low - 2e-5), b)
-    assert not meet(lifted(high + 2e-5), b)
+    assert not overlap(lifted(low - 2e-5), b)
+    assert not overlap(lifted(high + 2e-5), b)
     if high - low > 1e-4:
-        assert meet(lifted(low + 2e-5), b)
-        assert meet(lifted(high - 2e-5), b)
+        assert overlap(lifted(low + 2e-5), b)
+        assert overlap(lifted(high - 2e-5), b)
 
 
-def test_boxes_hang_close_together_and_apart() -> None:
+def test_boxes_are_placed_close_together_without_overlaps() -> None:
     rng = np.random.default_rng(0)
     axes = Rotation.from_quat(rng.normal(size=(12, 4))).as_matrix()
     half = rng.uniform(0.01, 0.1, (12, 3))
-    centers = hang(rng, axes, half, 0.2, 0.15, 4)
+    centers = place_boxes(rng, axes, half, 0.2, 0.15, 4)
     boxes = [Box(*each) for each in zip(centers, axes, half, strict=True)]
-    assert not any(meet(a, b) for i, a in enumerate(boxes) for b in boxes[:i])
-    lowest = [float(each.center[2] - each.reach_down) for each in boxes]
+    assert not any(overlap(a, b) for i, a in enumerate(boxes) for b in boxes[:i])
+    lowest = [float(each.center[2] - each.center_height) for each in boxes]
     assert 0.2 <= min(lowest) <= 0.2 + CLEARANCE
-    # Each hangs as low as it can: lowered by a hair, with its clearance, it meets another or passes the lowest height.
+    # Each is as low as possible: lowered slightly, with its clearance, it overlaps another or the minimum height.
     wide = [Box(each.center, each.axes, each.half + CLEARANCE / 2) for each in boxes]
     for i, each in enumerate(wide):
         lowered = Box(np.subtract(each.center, (0, 0, 1e-4)), each.axes, each.half)
-        at_the_bottom = each.center[2] - each.reach_down < 0.2001
-        assert at_the_bottom or any(meet(lowered, other) for other in wide[:i])
+        at_the_bottom = each.center[2] - each.center_height < 0.2001
+        assert at_the_bottom or any(overlap(lowered, other) for other in wide[:i])
 
 
 def test_other_cameras() -> None:
@@ -161,20 +158,22 @@ def test_other_cameras() -> None:
     assert len(scene_of(0, settings).views) == 2
 
 
-def test_floors_from_pictures(tmp_path: Path) -> None:
+def test_floors_from_images(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "floor.png"), np.full((8, 8, 3), 99, dtype=np.uint8))
     settings = SceneSettings(objects=(1, 1), images=tmp_path, image_share=0.5)
     kinds = [scene_of(seed, settings).floor.texture.kind for seed in range(20)]
     assert 4 <= kinds.count("image") <= 16
-    with pytest.raises(DatasetError, match="no pictures in"):
+    with pytest.raises(DatasetError, match="no images in"):
         scene_of(0, SceneSettings(images=tmp_path / "none"))
 
 
 class BrokenLibrary:
-    """Every model of the first half is broken."""
+    """The first half of the models is broken."""
+
+    broken: Mapping[str, str] = {}
 
     def __init__(self) -> None:
-        self.inner = open_library(None)
+        self.inner = ProceduralLibrary()
 
     def refs(self, split: str) -> Sequence[ModelRef]:
         return self.inner.refs(split)[:10]
@@ -188,12 +187,12 @@ class BrokenLibrary:
 def test_broken_models_are_replaced_and_named() -> None:
     named: list[str] = []
     settings = SceneSettings(objects=(12, 12))
-    scene, _ = draw_scene_and_models(np.random.default_rng(0), BrokenLibrary(), "train", settings, named.append)
+    scene, _ = draw_paper_scene(np.random.default_rng(0), BrokenLibrary(), "train", settings, named.append)
     assert len(scene.objects) == 12
     assert named
     assert all(line.endswith("is broken") for line in named)
     with pytest.raises(DatasetError, match="is broken"):
-        draw_scene(np.random.default_rng(0), BrokenLibrary(), "train", settings)
+        draw_paper_scene(np.random.default_rng(0), BrokenLibrary(), "train", settings)
 
 
 @pytest.mark.parametrize(
@@ -205,11 +204,11 @@ def test_broken_models_are_replaced_and_named() -> None:
         (replace(SETTINGS, lights=(1, 5)), "at most 4 lights"),
     ],
 )
-def test_settings_that_cannot_be(settings: SceneSettings, message: str) -> None:
+def test_invalid_settings_are_refused(settings: SceneSettings, message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         scene_of(0, settings)
 
 
-def test_an_unknown_split() -> None:
+def test_an_unknown_split_is_refused() -> None:
     with pytest.raises(DatasetError, match="unknown split"):
-        draw_scene(np.random.default_rng(0), open_library(None), "dev", SETTINGS)
+        draw_paper_scene(np.random.default_rng(0), ProceduralLibrary(), "dev", SETTINGS)

@@ -1,1 +1,1 @@
-"""Generated data sets: scenes to rows to shards, on any number of processes."""
+"""Generation of data sets: from scenes to rows to shards, with any number of processes."""

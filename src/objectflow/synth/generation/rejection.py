@@ -1,53 +1,44 @@
-"""What all makers of scenes share: an open library, and drawing anew until a draft holds."""
+"""Rejection sampling: a scene is drawn again until an attempt is accepted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from objectflow.errors import DatasetError
-from objectflow.synth.generation.rows import Clock
+from objectflow.synth.generation.stage_timer import StageTimer
 from objectflow.synth.generation.tasks import SceneRows
-from objectflow.synth.objects.library import Library
-from objectflow.synth.objects.mixed_library import Meshes, open_mixed
 from objectflow.synth.physics.simulate import RejectedSceneError
 
-MAX_DRAFTS = 50
+MAX_ATTEMPTS = 50
+"""Attempts per scene before generation fails."""
 
-Draw = Callable[[np.random.Generator, Clock, Callable[[str], None]], list[dict[str, Any]]]
-"""One draft: its rows; the clock is running; models that are left out are told."""
-
-
-def library_and_broken(meshes: Meshes | None) -> tuple[Library, list[str]]:
-    """The library, and a line for each mesh of the folder that it has sorted out as broken."""
-    library = open_mixed(meshes)
-    # The procedural library has nothing broken.
-    found: dict[str, str] = getattr(library, "broken", {})
-    return library, [f"{name}: skipped: {reason}" for name, reason in sorted(found.items())]
+DrawRows = Callable[[np.random.Generator, StageTimer, Callable[[str], None]], list[dict[str, Any]]]
+"""Makes one attempt and returns its rows. The timer is running; the last argument takes a note per skipped model."""
 
 
-def draw_until_kept(rng: np.random.Generator, draw: Draw, *, where: str, broken: list[str], clock: Clock) -> SceneRows:
-    """Draw drafts until one is not rejected.
+def draw_until_accepted(rng: np.random.Generator, draw: DrawRows, *, where: str, notes: Sequence[str]) -> SceneRows:
+    """Repeat attempts until one is accepted.
 
     Args:
-        rng: of the scene; each draft goes on where the last one stopped.
-        draw: makes the rows of one draft, or raises RejectedSceneError.
-        where: how messages name the scene.
-        broken: lines about models that were left out before.
-        clock: started at each draft.
+        rng: the scene's random generator; each attempt continues its stream.
+        draw: makes the rows of one attempt, or raises RejectedSceneError.
+        where: name of the scene in messages.
+        notes: messages that every scene passes on, such as the broken meshes of the library.
 
     Raises:
-        DatasetError: too many drafts were rejected.
+        DatasetError: `MAX_ATTEMPTS` attempts were rejected.
     """
     rejected: dict[str, int] = {}
-    skipped = list(broken)
-    for _ in range(MAX_DRAFTS):
+    messages = list(notes)
+    timer = StageTimer()
+    for _ in range(MAX_ATTEMPTS):
         try:
-            clock.start()
-            rows = draw(rng, clock, skipped.append)
-            return SceneRows(rows, rejected, tuple(dict.fromkeys(skipped)), clock.seconds)
+            timer.start()
+            rows = draw(rng, timer, messages.append)
+            return SceneRows(rows, rejected, tuple(dict.fromkeys(messages)), timer.seconds)
         except RejectedSceneError as error:
             rejected[error.reason] = rejected.get(error.reason, 0) + 1
-    raise DatasetError(f"{where}: {MAX_DRAFTS} drafts were rejected ({rejected}): check the settings")
+    raise DatasetError(f"{where}: {MAX_ATTEMPTS} attempts were rejected ({rejected}): check the settings")

@@ -10,7 +10,7 @@ from objectflow.dataset.manifest import Kind
 
 
 class Task(NamedTuple):
-    """One scene to be made: what becomes of it, and its number in its part."""
+    """One scene to generate: the kind of its rows, and its number within its part of the data set."""
 
     kind: Kind
     scene: int
@@ -18,12 +18,12 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class SceneRows:
-    """What came of one scene.
+    """The rows of one scene.
 
     Attributes:
-        rows: as `PairRow.to_dict` or `SequenceRow.to_dict` give them, in order.
-        rejected: how many drafts of the scene were drawn anew, by reason.
-        notes: things the user should know, one line each, such as a mesh that cannot be read.
+        rows: as returned by `PairRow.to_dict` or `SequenceRow.to_dict`, in order.
+        rejected: number of rejected attempts, by reason.
+        notes: messages for the user, one line each, such as a mesh that cannot be read.
         seconds: time spent, by stage.
     """
 
@@ -34,7 +34,4 @@ class SceneRows:
 
 
 Maker = Callable[[Task], SceneRows]
-
-
-MakerFactory = Callable[[], Maker]
-"""Builds a maker inside the process that will use it (a renderer is kept from scene to scene). Must be picklable."""
+"""Makes the rows of one scene."""

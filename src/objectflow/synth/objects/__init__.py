@@ -1,1 +1,1 @@
-"""The things in generated scenes: procedural shapes and meshes, with their symmetries."""
+"""Object models of generated scenes: procedural shapes and meshes, with their symmetries."""

@@ -1,6 +1,6 @@
-"""Convex parts of a mesh by CoACD (Wei et al. 2022), in a process of its own.
+"""Convex parts of a mesh by CoACD (Wei et al. 2022), in a child process.
 
-The solver prints, keeps threads and may abort on odd meshes; a child process keeps all of that away from the caller.
+The solver prints, leaves threads running and may abort on irregular meshes; a child process isolates the caller.
 Run as `python -m objectflow.synth.objects.convex_parts IN.npz OUT.npz MODE`; the library calls `decompose`.
 """
 
@@ -24,6 +24,7 @@ from objectflow.errors import DatasetError, MissingExtraError
 from objectflow.typing import Float64Array, LabelImage
 
 MAX_PARTS = 24
+"""Maximum number of convex parts of a mesh."""
 SETTINGS = {
     "threshold": 0.06,
     "max_convex_hull": MAX_PARTS,
@@ -35,20 +36,21 @@ SETTINGS = {
     "max_ch_vertex": 48,
     "seed": 0,
 }
-"""CoACD's options; a coarser search than its default, which costs minutes a mesh and gains a millimetre."""
+"""CoACD options; its default search takes minutes per mesh and is only a millimetre more accurate."""
 TIME_LIMIT = 600.0
+"""Maximum time per mesh, seconds."""
 
 
 def decompose(vertices: Float64Array, faces: LabelImage, name: str) -> tuple[Float64Array, ...]:
-    """Convex parts of a mesh, open or closed.
+    """Compute the convex parts of a mesh, which may be open.
 
     Args:
         vertices, faces: (V, 3) metres and (F, 3).
-        name: what an error calls the mesh.
+        name: name of the mesh in messages.
 
     Returns:
-        Each (P, 3): the corners of one part. Where the solver fails on the mesh as it is and on a closed copy of it,
-        the hull of the whole, with a warning that names the mesh.
+        Each (P, 3): the corners of one part, metres. If the solver fails on both the mesh and a closed copy of it, the
+        hull of the whole mesh, with a warning that names it.
 
     Raises:
         DatasetError: the mesh is flat.
@@ -56,24 +58,29 @@ def decompose(vertices: Float64Array, faces: LabelImage, name: str) -> tuple[Flo
     """
     if importlib.util.find_spec("coacd") is None:
         raise MissingExtraError('convex parts of a mesh need coacd: pip install "objectflow[synth]"')
-    for preprocess in ("auto", "on"):  # an assertion in the solver's intersection test ends it on some closed meshes
-        parts = _solve(vertices, faces, preprocess)
+    for preprocess in ("auto", "on"):  # the solver fails an assertion on some closed meshes
+        parts = run_solver(vertices, faces, preprocess)
         if parts:
             return parts
     hull = hull_corners(vertices)
     if hull is None:
         raise DatasetError(f"{name} is flat and has no convex parts: remove it")
-    warnings.warn(f"{name}: no convex parts found, its hull stands in for it in collisions", stacklevel=2)
+    warnings.warn(f"{name}: no convex parts found; its convex hull is used in collisions", stacklevel=2)
     return (hull,)
 
 
-def _solve(vertices: Float64Array, faces: LabelImage, preprocess: str) -> tuple[Float64Array, ...]:
-    """Run the solver in a child process; nothing when it fails."""
+def run_solver(vertices: Float64Array, faces: LabelImage, preprocess: str) -> tuple[Float64Array, ...]:
+    """Run the solver in a child process; return no parts if it fails.
+
+    Args:
+        vertices, faces: see `decompose`.
+        preprocess: whether CoACD closes the mesh first: "auto" or "on".
+    """
     with tempfile.TemporaryDirectory(prefix="objectflow-") as folder:
         given, taken = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
         np.savez(given, vertices=vertices, faces=faces)
         command = [sys.executable, "-m", "objectflow.synth.objects.convex_parts", str(given), str(taken), preprocess]
-        # One thread: the same parts whatever the machine, and no crowd when workers run side by side.
+        # One thread gives the same parts on every machine, and parallel workers do not compete for cores.
         environment = {**os.environ, "OMP_NUM_THREADS": "1"}
         try:
             done = subprocess.run(command, capture_output=True, timeout=TIME_LIMIT, env=environment, check=False)
@@ -86,7 +93,7 @@ def _solve(vertices: Float64Array, faces: LabelImage, preprocess: str) -> tuple[
 
 
 def hull_corners(points: Float64Array) -> Float64Array | None:
-    """The corners of a convex hull, or None where the points are flat."""
+    """The corners (C, 3) of the convex hull of points (P, 3), or None if the points are coplanar."""
     try:
         return np.ascontiguousarray(points[ConvexHull(points).vertices])
     except QhullError:
@@ -94,7 +101,7 @@ def hull_corners(points: Float64Array) -> Float64Array | None:
 
 
 def pack(parts: Sequence[Float64Array], **others: Float64Array) -> bytes:
-    """Convex parts, and other arrays, as the bytes of one `.npz`."""
+    """Serialize convex parts and further named arrays as the bytes of one `.npz`."""
     arrays: dict[str, Any] = {**others, **{f"part{i:03d}": part for i, part in enumerate(parts)}}
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
@@ -102,7 +109,7 @@ def pack(parts: Sequence[Float64Array], **others: Float64Array) -> bytes:
 
 
 def unpack(data: Mapping[str, Float64Array]) -> tuple[Float64Array, ...]:
-    """The parts of a loaded `pack`, in their order."""
+    """The convex parts of a loaded `pack`, in order."""
     return tuple(data[name] for name in sorted(data) if name.startswith("part"))
 
 

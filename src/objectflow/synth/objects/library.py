@@ -1,22 +1,27 @@
-"""What every library of object models offers, and the sizes of its splits."""
+"""The interface of every library of object models, and the sizes of its splits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from objectflow.errors import DatasetError
 from objectflow.synth.objects.model import ModelRef, ObjectModel
 
 SPLIT_SIZES = {"train": 21_899, "val": 3_186, "test": 6_509}
-"""Models in each split, as many as the paper took from ShapeNet (section IV-A)."""
+"""Number of models per split, as many as the paper took from ShapeNet (section IV-A)."""
 
 
 class Library(Protocol):
-    """Where objects come from."""
+    """A source of object models."""
+
+    @property
+    def broken(self) -> Mapping[str, str]:
+        """Name -> defect of every model that was left out."""
+        ...
 
     def refs(self, split: str) -> Sequence[ModelRef]:
-        """The models of a split ("train", "val" or "test"), in a fixed order; splits share none.
+        """The models of a split ("train", "val" or "test") in a fixed order; splits are disjoint.
 
         Raises:
             DatasetError: an unknown split.
@@ -33,7 +38,7 @@ class Library(Protocol):
 
 
 def check_split(split: str) -> None:
-    """Refuse a split that is none.
+    """Check the name of a split.
 
     Raises:
         DatasetError: it is not train, val or test.

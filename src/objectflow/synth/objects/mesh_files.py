@@ -1,4 +1,4 @@
-"""Read one mesh file (OBJ, STL, PLY, GLB) into triangles, texture coordinates and one texture."""
+"""Reads one mesh file (OBJ, STL, PLY, GLB) into triangles, texture coordinates and one texture."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ from objectflow.typing import Float64Array, LabelImage, UInt8Array
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
 
-_TILE_SPAN = 1024
-"""Side in pixels of the picture that the textures of all materials share."""
-_PLAIN_GREY = (102, 102, 102)
-"""What the mesh reader reports for a material without a colour."""
+_ATLAS_SIZE = 1024
+"""Side length of the texture atlas of all materials, pixels."""
+_DEFAULT_COLOR = (102, 102, 102)
+"""RGB colour that trimesh reports for a material without a colour."""
 
 
 class MeshFile(NamedTuple):
-    """A mesh as the file has it: its own units and origin."""
+    """A mesh in the file's own units and frame."""
 
     vertices: Float64Array
-    """(V, 3); split where texture coordinates are."""
+    """(V, 3); split at texture seams."""
     faces: LabelImage
     """(F, 3)."""
     uv: Float64Array
     """(V, 2)."""
     texture: UInt8Array | None
-    """(h, w, 3) RGB, None where the file says nothing about colour."""
+    """(h, w, 3) RGB; None if the file has no colours."""
 
     def digest(self) -> str:
-        """Hex sha256 of the geometry alone."""
+        """Hexadecimal SHA-256 of the geometry alone."""
         data = hashlib.sha256(np.ascontiguousarray(self.vertices).tobytes())
         data.update(np.ascontiguousarray(self.faces).tobytes())
         return data.hexdigest()
 
 
 def read_mesh(path: Path) -> MeshFile:
-    """Read a mesh file; several materials become one texture, and missing texture coordinates are made up.
+    """Read a mesh file. Several materials become one texture; missing texture coordinates are box-projected.
 
     Raises:
-        DatasetError: the file is not a mesh, or holds nothing solid (no triangles, not finite, flat).
+        DatasetError: the file is not a mesh, or not a solid (no triangles, not finite, collinear).
         MissingExtraError: trimesh is not installed.
     """
     try:
@@ -56,51 +56,51 @@ def read_mesh(path: Path) -> MeshFile:
         geometries = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
     except MemoryError:
         raise
-    except Exception as error:  # a parser of foreign bytes: whatever it trips over, the file is at fault
+    except Exception as error:  # any exception of the parser means that the file is invalid
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DatasetError(f"{path} is not a readable mesh ({reason}): mend or remove it") from error
+        raise DatasetError(f"{path} is not a readable mesh ({reason}): repair or remove it") from error
     if not geometries:
-        raise DatasetError(f"{path} holds no triangles: mend or remove it")
-    pictures = [_picture(g, path) for g in geometries]
+        raise DatasetError(f"{path} holds no triangles: repair or remove it")
+    images = [_material_image(g, path) for g in geometries]
     coordinates = [_file_uv(g) for g in geometries]
-    mesh = _combined(geometries, coordinates, pictures)
+    mesh = _combine(geometries, coordinates, images)
     corners = mesh.vertices[mesh.faces]
     spans = np.ptp(corners.reshape(-1, 3), axis=0)
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not np.isfinite(mesh.vertices).all() or not area.sum() > 0 or np.sort(spans)[1] < 1e-4 * spans.max():
-        raise DatasetError(f"{path} is not a solid (points that are not finite, or all on a line): mend or remove it")
+        raise DatasetError(f"{path} is not a solid (not finite, or all points on a line): repair or remove it")
     keep = area > 0
     return mesh._replace(faces=np.ascontiguousarray(mesh.faces[keep]))
 
 
-def _combined(geometries: list[Any], coordinates: list[Any], pictures: list[Any]) -> MeshFile:
-    """Join the pieces; their pictures become tiles of one texture if there are several."""
-    textured = any(picture is not None for picture in pictures)
+def _combine(geometries: list[Any], coordinates: list[Any], images: list[Any]) -> MeshFile:
+    """Join the pieces of a mesh; several textures become the tiles of an atlas."""
+    textured = any(image is not None for image in images)
     side = math.ceil(math.sqrt(len(geometries)))
-    tile = _TILE_SPAN // side
-    sheet = np.full((side * tile, side * tile, 3), 180, np.uint8)
+    tile = _ATLAS_SIZE // side
+    atlas = np.full((side * tile, side * tile, 3), 180, np.uint8)
     vertices, faces, uvs, start = [], [], [], 0
-    for i, (geometry, given, picture) in enumerate(zip(geometries, coordinates, pictures, strict=True)):
+    for i, (geometry, given, image) in enumerate(zip(geometries, coordinates, images, strict=True)):
         points = np.asarray(geometry.vertices, dtype=np.float64)
         triangles = np.asarray(geometry.faces, dtype=np.int64)
         if given is None:
-            points, triangles, coordinate = _box_mapped(points, triangles)
+            points, triangles, coordinate = _box_projection(points, triangles)
         else:
             coordinate = given
         if textured and len(geometries) > 1:
-            points, triangles, within = _within_one_tile(points, triangles, coordinate)
+            points, triangles, within = _unwrap_repeats(points, triangles, coordinate)
             row, column = divmod(i, side)
-            if picture is not None:
-                image = cv2.resize(picture, (tile, tile), interpolation=cv2.INTER_AREA)
-                sheet[row * tile : (row + 1) * tile, column * tile : (column + 1) * tile] = image
-            margin = 1.5 / tile  # keeps filtering from reaching into the neighbouring tile
+            if image is not None:
+                resized = cv2.resize(image, (tile, tile), interpolation=cv2.INTER_AREA)
+                atlas[row * tile : (row + 1) * tile, column * tile : (column + 1) * tile] = resized
+            margin = 1.5 / tile  # texture filtering must not reach the neighbouring tile
             corner = np.array([column, side - 1 - row])
             coordinate = (margin + (1 - 2 * margin) * within + corner) / side
         vertices.append(points)
         faces.append(triangles + start)
         uvs.append(coordinate)
         start += len(points)
-    texture = None if not textured else sheet if len(geometries) > 1 else pictures[0]
+    texture = None if not textured else atlas if len(geometries) > 1 else images[0]
     joined = np.concatenate(faces).astype(np.int32)
     return MeshFile(np.concatenate(vertices), joined, np.concatenate(uvs), texture)
 
@@ -112,12 +112,12 @@ def _file_uv(geometry: Any) -> Float64Array | None:
     return np.asarray(uv, dtype=np.float64)
 
 
-def _picture(geometry: Any, path: Path) -> UInt8Array | None:
-    """The colour of one material as a picture: its texture, or a few pixels of its plain colour."""
+def _material_image(geometry: Any, path: Path) -> UInt8Array | None:
+    """The texture of one material, (h, w, 3) RGB; a few equal pixels for a plain colour."""
     material = getattr(geometry.visual, "material", None)
     if material is None:
         return None
-    colour, image_path = _mtl_materials(path).get(str(getattr(material, "name", "")), (None, None))
+    color, image_path = _mtl_materials(path).get(str(getattr(material, "name", "")), (None, None))
     if image_path is not None:
         image = cv2.imread(str(image_path), cv2.IMREAD_COLOR)
         if image is not None:
@@ -125,14 +125,14 @@ def _picture(geometry: Any, path: Path) -> UInt8Array | None:
     embedded = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if embedded is not None:
         return np.asarray(embedded.convert("RGB"), dtype=np.uint8)
-    if colour is None and path.suffix.lower() in (".glb", ".gltf"):
+    if color is None and path.suffix.lower() in (".glb", ".gltf"):
         main = np.asarray(material.main_color)[:3]
-        colour = None if tuple(int(c) for c in main) == _PLAIN_GREY else main.astype(np.uint8)
-    return None if colour is None else np.broadcast_to(colour, (4, 4, 3)).astype(np.uint8)
+        color = None if tuple(int(c) for c in main) == _DEFAULT_COLOR else main.astype(np.uint8)
+    return None if color is None else np.broadcast_to(color, (4, 4, 3)).astype(np.uint8)
 
 
 def _mtl_materials(path: Path) -> dict[str, tuple[UInt8Array | None, Path | None]]:
-    """Colour and texture file of each material of the `.mtl` files that an OBJ names (Wavefront's format)."""
+    """Colour and texture file of each material in the `.mtl` files (Wavefront format) of an OBJ file."""
     found: dict[str, tuple[UInt8Array | None, Path | None]] = {}
     if path.suffix.lower() != ".obj":
         return found
@@ -145,7 +145,7 @@ def _mtl_materials(path: Path) -> dict[str, tuple[UInt8Array | None, Path | None
         current = ""
         for line in library.read_text(encoding="utf-8", errors="replace").splitlines():
             key, _, value = line.strip().partition(" ")
-            colour, image = found.get(current, (None, None))
+            color, image = found.get(current, (None, None))
             if key == "newmtl":
                 current = value.strip()
                 found[current] = (None, None)
@@ -154,12 +154,12 @@ def _mtl_materials(path: Path) -> dict[str, tuple[UInt8Array | None, Path | None
                 found[current] = (np.clip(linear * 255, 0, 255).astype(np.uint8), image)
             elif key == "map_Kd":
                 file = library.parent / value.split()[-1].replace("\\", "/")
-                found[current] = (colour, file if file.is_file() else None)
+                found[current] = (color, file if file.is_file() else None)
     return found
 
 
-def _within_one_tile(points: Any, triangles: Any, uv: Any) -> tuple[Any, Any, Any]:
-    """Repeat-texturing, undone: every triangle gets its own corners, shifted to [0, 1] by whole tiles."""
+def _unwrap_repeats(points: Any, triangles: Any, uv: Any) -> tuple[Any, Any, Any]:
+    """Undo texture repetition: give every triangle its own corners, shifted to [0, 1] by whole tiles."""
     if uv.min() >= -1e-6 and uv.max() <= 1 + 1e-6:
         return points, triangles, np.clip(uv, 0, 1)
     corners = uv[triangles]
@@ -167,8 +167,8 @@ def _within_one_tile(points: Any, triangles: Any, uv: Any) -> tuple[Any, Any, An
     return points[triangles].reshape(-1, 3), np.arange(triangles.size).reshape(-1, 3), corners.reshape(-1, 2)
 
 
-def _box_mapped(points: Any, triangles: Any) -> tuple[Any, Any, Any]:
-    """Texture coordinates by projection along each triangle's main direction; vertices split where it changes."""
+def _box_projection(points: Any, triangles: Any) -> tuple[Any, Any, Any]:
+    """Texture coordinates by projection along each triangle's dominant axis; vertices are split where it changes."""
     _, first, merged = np.unique(points, axis=0, return_index=True, return_inverse=True)
     points, triangles = points[first], merged.reshape(-1)[triangles]
     a, b, c = (points[triangles[:, i]] for i in range(3))

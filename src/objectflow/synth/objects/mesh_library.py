@@ -21,7 +21,7 @@ from objectflow.synth.objects.library import SPLIT_SIZES, check_split
 from objectflow.synth.objects.mesh_files import SUFFIXES, read_mesh
 from objectflow.synth.objects.model import ModelRef, ObjectModel
 from objectflow.synth.objects.shapes.solid import signed_volume, surface_center
-from objectflow.synth.objects.symmetry_detection import detect
+from objectflow.synth.objects.symmetry_detection import detect_symmetry
 from objectflow.typing import Float64Array, LabelImage
 
 SHAPENET_SYNSETS = {
@@ -54,36 +54,39 @@ SHAPENET_SYNSETS = {
     "04225987": "skateboard",
     "04401088": "telephone",
 }
-"""28 synsets of ShapeNetCore with things that can lie in a pile. The paper took 28 and does not name them."""
+"""28 synsets of ShapeNetCore whose objects can lie in a pile. The paper uses 28 synsets and does not name them."""
 
-_PLAUSIBLE = (0.03, 0.5)
-"""Metres: an object whose longest side is outside was not drawn in metres, or is no tabletop object."""
-_HAND_SIZES = (0.07, 0.3)
-"""Metres: to where such a mesh is scaled, as the authors' code scales theirs."""
+_PLAUSIBLE_SIZES = (0.03, 0.5)
+"""Range of the longest side of a tabletop object, metres; a mesh outside the range is assumed to have other units."""
+_TARGET_SIZES = (0.07, 0.3)
+"""Range of sizes to which such meshes are scaled, metres; as in the paper's code."""
 _CACHE_VERSION = "1"
+"""Part of the cache keys; it changes with the contents of the cached files."""
 
 
 class MeshLibrary:
-    """The meshes of a folder. Which are broken is found once, remembered in the cache, and kept in `broken`.
+    """The meshes of a folder. Broken files are detected once, recorded in the cache, and listed in `broken`.
 
-    In ShapeNet's layout (`synset/model/models/*.obj`) only the synsets of `SHAPENET_SYNSETS` are taken; elsewhere
-    every mesh file below the folder, with the name of the folder it lies in for its category. The splits take the
-    paper's shares of each category, drawn by a hash of the names.
+    In ShapeNet's layout (`synset/model/models/*.obj`) only the synsets of `SHAPENET_SYNSETS` are used. In any other
+    folder every mesh file at any depth is used, and its parent folder's name is its category. Each category is divided
+    into splits with the paper's shares, in the order of a hash of the names.
+
+    Attributes:
+        broken: name -> defect of every file that was left out.
     """
 
     broken: dict[str, str]
-    """Name -> what is wrong, of every file that was skipped."""
 
     def __init__(self, folder: Path, cache: Path | None = None) -> None:
-        """Look through a folder.
+        """Open a folder.
 
         Args:
-            folder: where the meshes are.
-            cache: where convex parts, symmetry and the list of broken files are kept; a folder of the user's own
-                cache when None.
+            folder: folder of the meshes.
+            cache: folder for convex parts, symmetries and the list of broken files; None for a folder in the user's
+                cache.
 
         Raises:
-            DatasetError: the folder is missing, or holds no mesh that can be used.
+            DatasetError: the folder is missing, or holds no usable mesh.
             StorageError: the cache folder cannot be written.
             MissingExtraError: reading meshes needs the extra `[synth]`.
         """
@@ -113,7 +116,7 @@ class MeshLibrary:
         """See `objectflow.synth.objects.library.Library.refs`.
 
         Raises:
-            DatasetError: an unknown split, or too few meshes for it to get one.
+            DatasetError: an unknown split, or one without meshes because there are too few.
         """
         check_split(split)
         if not self._split_refs[split]:
@@ -124,7 +127,7 @@ class MeshLibrary:
         return self._split_refs[split]
 
     def load(self, ref: ModelRef) -> ObjectModel:
-        """See `objectflow.synth.objects.library.Library.load`. The first time takes seconds, for the convex parts."""
+        """See `objectflow.synth.objects.library.Library.load`. The first load of a mesh takes seconds."""
         if ref not in self._known:
             why = self.broken.get(ref.name, "there is no such file in this library")
             raise DatasetError(f"{self.folder} has no model {ref.name!r} in category {ref.category!r}: {why}")
@@ -133,17 +136,17 @@ class MeshLibrary:
         vertices = vertices - surface_center(vertices, mesh.faces)
         faces = mesh.faces if signed_volume(vertices, mesh.faces) >= 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
         key = hashlib.sha256(f"{_CACHE_VERSION} {mesh.digest()} {ref.name}".encode()).hexdigest()
-        parts, symmetry = self._solved(key, vertices, faces, ref.name)
+        parts, symmetry = self._load_solved(key, vertices, faces, ref.name)
         return ObjectModel(ref.category, ref.name, vertices, faces, mesh.uv, parts, symmetry, mesh.texture)
 
-    def _solved(
+    def _load_solved(
         self, key: str, vertices: Float64Array, faces: LabelImage, name: str
     ) -> tuple[tuple[Float64Array, ...], tuple[SymmetryAxis, ...]]:
-        """Convex parts and symmetry, from the cache or worked out and put there."""
+        """Convex parts and symmetry from the cache; they are computed and stored there if missing."""
         path = self.cache / f"{key}.npz"
         if not path.is_file():
             parts = decompose(vertices, faces, name)
-            symmetry = detect(vertices, faces)
+            symmetry = detect_symmetry(vertices, faces)
             axes = np.array([[*axis.axis, axis.order] for axis in symmetry]).reshape(-1, 4)
             write_bytes(path, pack(parts, axes=axes))
         try:
@@ -155,25 +158,25 @@ class MeshLibrary:
         return parts, tuple(SymmetryAxis((float(x), float(y), float(z)), int(order)) for x, y, z, order in axes)
 
     def _find_broken(self, names: list[str]) -> dict[str, str]:
-        """Read every file that was not read before in its present state; remember the verdicts."""
+        """Defects by name. Files that are new or have changed since the last time are read; results are cached."""
         index = self.cache / f"folder-{hashlib.sha256(str(self.folder.resolve()).encode()).hexdigest()[:16]}.json"
         try:
             known = json.loads(index.read_text()) if index.is_file() else {}
         except (OSError, ValueError):
-            known = {}  # only a memory of earlier work: read the files again
-        verdicts: dict[str, list[Any]] = {}  # name -> [size, time of the last change, what is wrong]
+            known = {}  # a damaged index is only a lost cache: read the files again
+        states: dict[str, list[Any]] = {}  # name -> [size, time of the last change, defect]
         for name in names:
             status = (self.folder / name).stat()
             state = [status.st_size, status.st_mtime_ns]
             old = known.get(name)
-            verdicts[name] = old if old is not None and old[:2] == state else [*state, _verdict(self.folder / name)]
-        if verdicts != known:
-            write_text(index, json.dumps(verdicts))
-        return {name: verdict[2] for name, verdict in verdicts.items() if verdict[2]}
+            states[name] = old if old is not None and old[:2] == state else [*state, _find_defect(self.folder / name)]
+        if states != known:
+            write_text(index, json.dumps(states))
+        return {name: state[2] for name, state in states.items() if state[2]}
 
 
-def _verdict(path: Path) -> str:
-    """What is wrong with a mesh file; empty when nothing is."""
+def _find_defect(path: Path) -> str:
+    """The defect of a mesh file; empty if it is usable."""
     try:
         read_mesh(path)
     except DatasetError as error:
@@ -182,7 +185,7 @@ def _verdict(path: Path) -> str:
 
 
 def _mesh_files(folder: Path) -> list[ModelRef]:
-    """Every mesh below a folder, sorted by name."""
+    """All meshes in a folder, at any depth, sorted by name."""
     shapenet = [path for path in folder.glob("*/*/models/*.obj") if re.fullmatch(r"\d{8}", path.parts[-4])]
     if shapenet:
         pairs = [(SHAPENET_SYNSETS.get(path.parts[-4]), path) for path in shapenet]
@@ -195,29 +198,29 @@ def _mesh_files(folder: Path) -> list[ModelRef]:
 
 
 def _split(refs: list[ModelRef]) -> dict[str, list[ModelRef]]:
-    """Deal the models of each category to the splits in the paper's shares, in the order of a hash of their names."""
+    """Divide each category into splits with the paper's shares, in the order of a hash of the models' names."""
     total = sum(SPLIT_SIZES.values())
     out: dict[str, list[ModelRef]] = {split: [] for split in SPLIT_SIZES}
     for category in sorted({ref.category for ref in refs}):
         mine = sorted(
             (r for r in refs if r.category == category), key=lambda r: hashlib.sha256(r.name.encode()).digest()
         )
-        few = len(mine) >= 3  # then no split goes empty
-        counts = {s: max(round(len(mine) * SPLIT_SIZES[s] / total), int(few)) for s in ("val", "test")}
-        held = 0
+        least = int(len(mine) >= 3)  # three models or more leave no split empty
+        counts = {s: max(round(len(mine) * SPLIT_SIZES[s] / total), least) for s in ("val", "test")}
+        start = 0
         for split, count in counts.items():
-            out[split] += mine[held : held + count]
-            held += count
-        out["train"] += mine[held:]
+            out[split] += mine[start : start + count]
+            start += count
+        out["train"] += mine[start:]
     return {split: sorted(models) for split, models in out.items()}
 
 
 def _scale(vertices: Float64Array, name: str) -> float:
-    """1 for a mesh of a plausible size in metres, otherwise what brings it to a size drawn by its name."""
+    """Scale factor of a mesh: 1 for a plausible size in metres, otherwise to a size drawn by a hash of its name."""
     size = float(np.ptp(vertices, axis=0).max())
-    if _PLAUSIBLE[0] <= size <= _PLAUSIBLE[1]:
+    if _PLAUSIBLE_SIZES[0] <= size <= _PLAUSIBLE_SIZES[1]:
         return 1.0
-    low, high = _HAND_SIZES
+    low, high = _TARGET_SIZES
     draw = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") / 2**64
     return (low + (high - low) * draw) / size
 

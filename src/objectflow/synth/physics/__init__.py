@@ -1,1 +1,1 @@
-"""Poses of every frame, by MuJoCo or Bullet."""
+"""Object poses per frame, simulated by MuJoCo or Bullet."""

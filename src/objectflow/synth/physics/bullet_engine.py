@@ -1,4 +1,4 @@
-"""Simulation with Bullet, the engine of the paper: extra `[bullet]`."""
+"""Simulation with Bullet, the engine of the paper; needs the extra `[bullet]`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from objectflow.typing import Float64Array
 
 
 def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
-    """Simulate frames 0 to `last`; masses and centres of mass are those of the MuJoCo model.
+    """Simulate frames 0 to `last`, with the masses and inertias of the MuJoCo model.
 
     Raises:
         MissingExtraError: PyBullet or MuJoCo is not installed.
@@ -53,11 +53,12 @@ def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
             file.write_text("".join(_wavefront(parts)))
             bodies.append(_add_object(bullet, world, file, float(mass[i]), world_T_mass[i]))
         for body, weight, diagonal in zip(bodies, mass, inertial.body_inertia[1:], strict=True):
-            # Bullet's own guess is that of the shape's box. (Without its mass beside it, the body would lose it.)
+            # Bullet would use the inertia of the shape's box. The mass must be set in the same call, or it is reset.
             bullet.changeDynamics(
                 body, -1, mass=float(weight), localInertiaDiagonal=diagonal.tolist(), physicsClientId=world
             )
-        poses, depth, energy = np.empty((last + 1, len(bodies), 4, 4)), np.zeros(last + 1), np.empty(last + 1)
+        poses = np.empty((last + 1, len(bodies), 4, 4))
+        penetration, energy = np.zeros(last + 1), np.empty(last + 1)
         for frame in range(last + 1):
             if frame:
                 for _ in range(SUBSTEPS):
@@ -65,9 +66,9 @@ def record(scene: Scene, models: Sequence[ObjectModel], last: int) -> Recording:
             world_T_mass = np.stack([_pose(bullet, world, body) for body in bodies])
             poses[frame] = world_T_mass @ mass_T_object
             contacts = bullet.getContactPoints(physicsClientId=world)
-            depth[frame] = max([0.0, *(-contact[8] for contact in contacts)])
+            penetration[frame] = max([0.0, *(-contact[8] for contact in contacts)])
             energy[frame] = _energy(bullet, world, bodies, world_T_mass, mass, inertial.body_inertia[1:])
-    return Recording(poses, depth, energy)
+    return Recording(poses, penetration, energy)
 
 
 def _import_bullet() -> ModuleType:
@@ -81,11 +82,11 @@ def _import_bullet() -> ModuleType:
 
 @contextmanager
 def _world(bullet: ModuleType) -> Iterator[int]:
-    """A world with a floor, and no window."""
+    """Open a world with a floor, without a window."""
     world = bullet.connect(bullet.DIRECT)
     try:
         bullet.setGravity(0, 0, -GRAVITY, physicsClientId=world)
-        # The files of shapes change from object to object, under names that may come again.
+        # Caching by file name is wrong here: different objects use the same names.
         bullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=world)
         bullet.setTimeStep(FRAME / SUBSTEPS, physicsClientId=world)
         plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=world)
@@ -97,15 +98,15 @@ def _world(bullet: ModuleType) -> Iterator[int]:
 
 
 def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T_mass: Float64Array) -> int:
-    """A body whose frame is that of its mass, as Bullet wants it."""
-    # Several hulls make one shape only by way of a file: each of its objects becomes the hull of its vertices.
+    """Add a body whose frame is its centre-of-mass frame, as Bullet requires."""
+    # A shape of several hulls can only be loaded from a file, each of whose objects becomes a convex hull.
     shape = bullet.createCollisionShape(bullet.GEOM_MESH, fileName=str(file), physicsClientId=world)
     body: int = bullet.createMultiBody(
         mass,
         shape,
         basePosition=world_T_mass[:3, 3].tolist(),
         baseOrientation=Rotation.from_matrix(world_T_mass[:3, :3]).as_quat().tolist(),
-        # A rigid body proper: bodies in reduced coordinates, the default, are damped by another formula.
+        # Bodies in reduced coordinates, the default, are damped by another formula.
         useMaximalCoordinates=True,
         physicsClientId=world,
     )
@@ -121,7 +122,7 @@ def _add_object(bullet: ModuleType, world: int, file: Path, mass: float, world_T
 
 
 def _wavefront(parts: Sequence[Float64Array]) -> Iterator[str]:
-    """An OBJ file of the convex hulls of some points."""
+    """Lines of an OBJ file with the convex hulls of point sets (P, 3)."""
     first = 1
     for number, points in enumerate(parts):
         yield f"o part_{number}\n"
@@ -143,8 +144,8 @@ def _energy(
     mass: Float64Array,
     inertia: Float64Array,
 ) -> float:
-    """Joules, kinetic and potential."""
+    """Kinetic plus potential energy, joules."""
     velocity = np.array([bullet.getBaseVelocity(body, physicsClientId=world) for body in bodies])
-    turning = np.einsum("nji,nj->ni", world_T_mass[:, :3, :3], velocity[:, 1])
-    kinetic = 0.5 * (mass * np.square(velocity[:, 0]).sum(-1) + (inertia * np.square(turning)).sum(-1))
+    angular = np.einsum("nji,nj->ni", world_T_mass[:, :3, :3], velocity[:, 1])
+    kinetic = 0.5 * (mass * np.square(velocity[:, 0]).sum(-1) + (inertia * np.square(angular)).sum(-1))
     return float((kinetic + mass * GRAVITY * world_T_mass[:, 2, 3]).sum())

@@ -1,4 +1,4 @@
-"""The MuJoCo model of a scene: free bodies with convex hulls that collide and meshes that are seen."""
+"""The MuJoCo model of a scene: free bodies with convex hulls for collisions and meshes for rendering."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from objectflow.synth.scenes.textures import TextureSpec, draw_texture
 from objectflow.typing import Float32Array, Float64Array, LabelImage, UInt8Array
 
 FLOOR_HALF = 2.0
-"""Metres; what is seen of the floor ends there, so that depth stays finite. Nothing falls off: it collides further."""
+"""Half the side length of the visible floor, metres; it keeps depth finite. For collisions the floor is infinite."""
 LIGHTS = 4
-"""Always as many, some of them dark: their number is compiled into the renderer's kernel."""
+"""Number of lights of every model, unused ones switched off: it is compiled into the renderer's kernel."""
 VISIBLE_GROUP, SOLID_GROUP = 0, 3
+"""Geom groups of visible surfaces and of collision shapes."""
 TEXTURE_SIZE, FLOOR_TEXTURE_SIZE = 128, 512
-"""Pixels a side: about one to a pixel of the image, for the renderer has no mip maps."""
+"""Pixels per side: about one per image pixel, because the renderer has no mip maps."""
 
 
 def import_mujoco() -> Any:
-    """The `mujoco` module.
+    """Import the `mujoco` module.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: MuJoCo is not installed.
     """
     try:
         import mujoco
@@ -42,17 +43,17 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
     """Compile a scene.
 
     Args:
-        scene: what to build.
-        models: its objects' models, in order.
-        solid: with collision hulls (group 3), which carry the mass.
-        visible: with surfaces (group 0), textures, lights, and a camera named `camera` with the scene's intrinsics.
+        scene: the scene to compile.
+        models: of the scene's objects, in order.
+        solid: include collision hulls (group 3), which have the mass.
+        visible: include surfaces (group 0), textures, lights, and a camera named `camera` with the scene's intrinsics.
 
     Returns:
-        A `mujoco.MjModel` with one free body an object, named obj_1..obj_N, whose frames are the object frames.
+        A `mujoco.MjModel` with one free body per object, named obj_1..obj_N, whose frames are the object frames.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
-        DatasetError: a texture's picture cannot be read, or a model's mesh or collision part is no solid.
+        DatasetError: a texture image cannot be read, or a mesh or collision part is not a solid.
     """
     mujoco = import_mujoco()
     spec = mujoco.MjSpec()
@@ -78,7 +79,7 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
         if solid:
             _add_hulls(mujoco, spec, body, number, item, model)
         else:
-            # A body that moves needs a mass, though nothing is simulated with this one.
+            # MuJoCo requires a mass of a free body, although this model is only rendered.
             body.mass, body.inertia, body.explicitinertial = 1.0, [1.0, 1.0, 1.0], True
         if visible:
             _add_surface(mujoco, spec, body, number, item, model)
@@ -89,7 +90,7 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
 
 
 def _explain(message: str, scene: Scene) -> str:
-    """MuJoCo's complaint in one line, with the model that it is about."""
+    """MuJoCo's error message in one line, with the name of the object model at fault."""
     match = re.search(r"'(?:hull|surface)_(\d+)", message)
     which = f"the model {scene.objects[int(match[1]) - 1].name}" if match else "the scene"
     reason = message.splitlines()[0].removeprefix("Error: ")
@@ -98,35 +99,43 @@ def _explain(message: str, scene: Scene) -> str:
 
 def _make_solid(geom: Any) -> None:
     geom.group, geom.friction, geom.condim = SOLID_GROUP, [FRICTION, 0.005, 0.0001], 4
-    # Twice the time step is as stiff as MuJoCo's contacts can be.
+    # MuJoCo's contacts are stiffest at a time constant of two time steps.
     geom.solref, geom.solimp = [2 * FRAME / SUBSTEPS, 1], [0.9, 0.98, 0.002, 0.5, 2]
 
 
 def _add_slab(mujoco: Any, spec: Any, number: int, slab: Slab, *, solid: bool, visible: bool) -> None:
-    """A box to collide with, and a mesh to be seen: rays know no other shapes than those of every other scene."""
-    place = {"pos": slab.center, "quat": [math.cos(slab.turn / 2), 0, 0, math.sin(slab.turn / 2)]}
+    """Add a box for collisions and a mesh for rendering: all scenes have the geom types of the compiled kernel."""
+    pose = {"pos": slab.center, "quat": [math.cos(slab.yaw / 2), 0, 0, math.sin(slab.yaw / 2)]}
     if solid:
-        _make_solid(spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=slab.half, **place))
+        _make_solid(spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=slab.half, **pose))
     if not visible:
         return
-    name, look = f"slab_{number}", slab.surface
+    name, surface = f"slab_{number}", slab.surface
     vertices, faces, uv = box_mesh(slab.half)
     spec.add_mesh(
         name=name,
         uservert=_flat(vertices),
         userface=faces.ravel(),
-        usertexcoord=_flat(uv / look.tile),
+        usertexcoord=_flat(uv / surface.tile),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    _add_material(mujoco, spec, name, draw_texture(look.texture, FLOOR_TEXTURE_SIZE), look.specular, look.shininess)
+    image = draw_texture(surface.texture, FLOOR_TEXTURE_SIZE)
+    _add_material(mujoco, spec, name, image, surface.specular, surface.shininess)
     geom = spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP, **place
+        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP, **pose
     )
     geom.contype = geom.conaffinity = 0
 
 
 def box_mesh(half: Sequence[float]) -> tuple[Float64Array, LabelImage, Float64Array]:
-    """A box about the origin: (24, 3) vertices, (12, 3) faces that look outwards, (24, 2) metres along each side."""
+    """Mesh of a box about the origin.
+
+    Args:
+        half: half its side lengths along x, y and z, metres.
+
+    Returns:
+        (24, 3) vertices in metres, (12, 3) outward faces, and (24, 2) texture coordinates in metres along each side.
+    """
     vertices: list[Float64Array] = []
     faces: list[list[int]] = []
     uv: list[tuple[float, float]] = []
@@ -156,7 +165,7 @@ def _add_hulls(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObject
 
 def _add_surface(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObject, model: ObjectModel) -> None:
     name = f"surface_{number}"
-    uv = np.stack([model.uv[:, 0], 1 - model.uv[:, 1]], axis=1)  # MuJoCo's v runs downwards
+    uv = np.stack([model.uv[:, 0], 1 - model.uv[:, 1]], axis=1)  # v runs downwards in MuJoCo
     spec.add_mesh(
         name=name,
         uservert=_flat(model.vertices * item.scale),
@@ -164,24 +173,24 @@ def _add_surface(mujoco: Any, spec: Any, body: Any, number: int, item: SceneObje
         usertexcoord=_flat(uv),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    picture = model.texture if item.texture.kind == "model" else draw_texture(item.texture, TEXTURE_SIZE)
-    if picture is None:
-        picture = draw_texture(TextureSpec("plain"), TEXTURE_SIZE)
-    _add_material(mujoco, spec, name, picture, item.specular, item.shininess)
+    image = model.texture if item.texture.kind == "model" else draw_texture(item.texture, TEXTURE_SIZE)
+    if image is None:
+        image = draw_texture(TextureSpec("plain"), TEXTURE_SIZE)
+    _add_material(mujoco, spec, name, image, item.specular, item.shininess)
     geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP)
     geom.contype = geom.conaffinity = 0
     geom.mass = 0
 
 
-def _add_material(mujoco: Any, spec: Any, name: str, picture: UInt8Array, specular: float, shininess: float) -> Any:
+def _add_material(mujoco: Any, spec: Any, name: str, image: UInt8Array, specular: float, shininess: float) -> Any:
     texture = spec.add_texture(
         name=name,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
-        width=picture.shape[1],
-        height=picture.shape[0],
+        width=image.shape[1],
+        height=image.shape[0],
         nchannel=3,
     )
-    texture.data = np.ascontiguousarray(picture).tobytes()
+    texture.data = np.ascontiguousarray(image).tobytes()
     material = spec.add_material(name=name, specular=specular, shininess=shininess)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     return material
@@ -189,32 +198,32 @@ def _add_material(mujoco: Any, spec: Any, name: str, picture: UInt8Array, specul
 
 def _add_surroundings(mujoco: Any, spec: Any, scene: Scene) -> None:
     floor = scene.floor
-    picture = draw_texture(floor.texture, FLOOR_TEXTURE_SIZE)
-    material = _add_material(mujoco, spec, "floor", picture, floor.specular, floor.shininess)
+    image = draw_texture(floor.texture, FLOOR_TEXTURE_SIZE)
+    material = _add_material(mujoco, spec, "floor", image, floor.specular, floor.shininess)
     material.texrepeat = [2 * FLOOR_HALF / floor.tile] * 2
     for number in range(LIGHTS):
         lit = number < len(scene.lights)
-        lamp = scene.lights[number if lit else 0]
+        light = scene.lights[number if lit else 0]
         spec.worldbody.add_light(
             name=f"light_{number}",
             type=mujoco.mjtLightType.mjLIGHT_POINT,
             active=lit,
             castshadow=True,
-            pos=lamp.position,
+            pos=light.position,
             dir=[0, 0, -1],
             attenuation=[1, 0, 0],
-            diffuse=lamp.diffuse,
-            specular=lamp.specular,
-            ambient=lamp.ambient,
+            diffuse=light.diffuse,
+            specular=light.specular,
+            ambient=light.ambient,
         )
     camera = scene.intrinsics
-    pixel = 1e-4  # metres; only ratios count
+    pixel = 1e-4  # metres; only the ratio to the sensor size matters
     spec.worldbody.add_camera(
         name="camera",
         resolution=[camera.width, camera.height],
         focal_pixel=[camera.fx, camera.fy],
         sensor_size=[camera.width * pixel, camera.height * pixel],
-        # MuJoCo counts from the image's middle, and the other way round.
+        # MuJoCo's principal point is relative to the image centre and has the opposite sign.
         principal_pixel=[(camera.width - 1) / 2 - camera.cx, (camera.height - 1) / 2 - camera.cy],
     )
 

@@ -1,4 +1,4 @@
-"""What a physics engine reports of a simulation, and the damping that every engine applies alike."""
+"""The result of a simulation, and the constants that both engines share."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from objectflow.typing import Float64Array
 
 GRAVITY = 9.81
-"""Metres a second squared, down."""
+"""Downward acceleration, m/s^2."""
 FRAME = 1 / 60
-"""Seconds."""
+"""Duration of a frame, seconds."""
 SUBSTEPS = 6
-"""Steps of an engine a frame. With four, Bullet's usual number, what falls enters the floor by up to two centimetres;
-six reject as few scenes as eight do, in less time."""
+"""Simulation steps per frame. With four, Bullet's usual number, falling objects penetrate the floor by up to two
+centimetres; six give as few rejected scenes as eight in less time."""
 FRICTION = 1.0
 LINEAR_DAMPING, ANGULAR_DAMPING = 0.9, 0.8
-"""The paper's, from its code: Bullet's, which leaves (1 - d)^t of a velocity after t seconds."""
+"""Damping of the paper's code, as Bullet defines it: a velocity is multiplied by (1 - d)^t within t seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Recording:
 
     world_T_object: Float64Array
     """(L + 1, N, 4, 4) metres."""
-    depth: Float64Array
-    """(L + 1,) deepest penetration in metres, 0 where nothing touches."""
+    penetration: Float64Array
+    """(L + 1,) deepest penetration, metres; 0 without contact."""
     energy: Float64Array
-    """(L + 1,) kinetic and potential energy in joules, the latter from the floor up."""
+    """(L + 1,) kinetic plus potential energy above the floor, joules."""

@@ -1,4 +1,4 @@
-"""Where geoms, cameras and lights of a MuJoCo scene stand in the world, for given poses of the objects."""
+"""World poses of the geoms, cameras and lights of a MuJoCo scene, for given object poses."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from objectflow.typing import Float32Array, Int64Array
 
-_OPENCV_T_MUJOCO = np.diag([1.0, -1.0, -1.0])
-"""MuJoCo's cameras look along -z, with y up."""
+_OPENCV_R_MUJOCO = np.diag([1.0, -1.0, -1.0])
+"""MuJoCo cameras look along -z, with y up."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """B = frames x cameras arrangements of a scene, the camera counting fastest. World frame, metres, float32."""
+    """World poses for B = frames x cameras images, cameras varying fastest. World frame, metres, float32."""
 
     geom_position: Float32Array
     """(B, G, 3)."""
@@ -41,16 +41,16 @@ class Placement:
         world_T_objects: NDArray[np.floating],
         world_T_cameras: NDArray[np.floating],
     ) -> Placement:
-        """Place a model's geoms.
+        """Compute the world poses of a model.
 
         Args:
-            model: `mujoco.MjModel`; what belongs to no object stands in the world itself.
-            numbers: (G,) the object of each geom, from 1; 0 = none.
+            model: `mujoco.MjModel`; geoms without an object are fixed in the world.
+            numbers: (G,) object number of each geom, from 1; 0 = none.
             world_T_objects: (F, N, 4, 4).
             world_T_cameras: (C, 4, 4), x right, y down, z forward.
         """
         frames, cameras = len(world_T_objects), len(world_T_cameras)
-        # One pose more in front: that of the world, where everything else stands.
+        # The identity comes first, as the pose of the world (number 0).
         world = np.broadcast_to(np.eye(4), (frames, 1, 4, 4))
         world_T_body = np.concatenate([world, world_T_objects], axis=1)[:, numbers]
         body_R_geom = Rotation.from_quat(model.geom_quat, scalar_first=True).as_matrix()
@@ -60,22 +60,22 @@ class Placement:
         return cls(
             geom_position=_float(np.repeat(position, cameras, axis=0)),
             geom_rotation=_float(np.repeat(rotation, cameras, axis=0)),
-            camera_position=_every(world_T_cameras[:, None, :3, 3], frames, int(model.ncam)),
-            camera_rotation=_every((world_T_cameras[:, :3, :3] @ _OPENCV_T_MUJOCO)[:, None], frames, int(model.ncam)),
-            light_position=_every(model.light_pos[None], worlds, 1),
-            light_direction=_every(model.light_dir[None], worlds, 1),
+            camera_position=_tile(world_T_cameras[:, None, :3, 3], frames, int(model.ncam)),
+            camera_rotation=_tile((world_T_cameras[:, :3, :3] @ _OPENCV_R_MUJOCO)[:, None], frames, int(model.ncam)),
+            light_position=_tile(model.light_pos[None], worlds, 1),
+            light_direction=_tile(model.light_dir[None], worlds, 1),
         )
 
 
 def object_numbers(model: Any) -> Int64Array:
-    """(G,) the object that each geom of a `mujoco.MjModel` belongs to: k of body obj_k, 0 = none."""
+    """(G,) object number of each geom of a `mujoco.MjModel`: k for the body obj_k, 0 = none."""
     bodies = [re.fullmatch(r"obj_(\d+)", model.body(body).name) for body in range(model.nbody)]
     of_body = np.array([int(match[1]) if match else 0 for match in bodies], dtype=np.int64)
     return np.asarray(of_body[model.geom_bodyid], dtype=np.int64)
 
 
-def _every(values: NDArray[np.floating], times: int, along: int) -> Float32Array:
-    """Repeat an array as a whole along its first axis, and its second axis for every camera of the model."""
+def _tile(values: NDArray[np.floating], times: int, along: int) -> Float32Array:
+    """Repeat an array along its first axis, and along its second axis for every camera of the model."""
     tiled = np.tile(values, (times, along, *(1,) * (values.ndim - 2)))
     return _float(tiled)
 

@@ -1,6 +1,6 @@
-"""What mujoco-warp's renderer reads of a scene, and no more.
+"""The part of a scene that mujoco-warp's renderer reads, on Warp's device.
 
-Its own `put_model` and `make_data` copy all that a simulation needs, which takes a tenth of a scene's time.
+mujoco-warp's `put_model` and `make_data` also copy what a simulation needs, which takes a tenth of a scene's time.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from objectflow.synth.rendering.placement import Placement
 
 MARGIN = 1e-4
-"""Metres around a mesh, so that rounding never takes a ray past what it would hit."""
+"""Margin of the bounding boxes, metres; protects against rounding errors."""
 _MESH = 7
 """`mjtGeom.mjGEOM_MESH`."""
 
 
-class TracedModel:
-    """Stands for `mujoco_warp.put_model(model)`: each array is copied when the renderer first asks for it."""
+class WarpModel:
+    """Replaces `mujoco_warp.put_model(model)`: each array is copied when the renderer first reads it."""
 
     def __init__(self, tracer: ModuleType, warp: ModuleType, model: Any) -> None:
         self._tracer, self._warp, self._model = tracer, warp, model
@@ -29,9 +29,9 @@ class TracedModel:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
-        # Python asks here only for what is not an attribute yet.
-        self.__dict__[name] = found = self._read(name)
-        return found
+        # Python calls this only for missing attributes, so that each is copied once.
+        self.__dict__[name] = value = self._read(name)
+        return value
 
     def _read(self, name: str) -> Any:
         kind: Any = self._types.get(name)
@@ -39,18 +39,18 @@ class TracedModel:
         if isinstance(value, int):
             return value
         if isinstance(value, np.ndarray) and hasattr(kind, "dtype"):
-            # Arrays that may differ from world to world have an axis for it; here one row serves all.
-            every = value[None] if kind.shape[:1] == ("*",) else value
-            return self._warp.array(every, dtype=kind.dtype, ndim=len(kind.shape))
+            # Arrays that may differ between worlds have a leading axis; here one row holds for all worlds.
+            shared = value[None] if kind.shape[:1] == ("*",) else value
+            return self._warp.array(shared, dtype=kind.dtype, ndim=len(kind.shape))
         if name == "block_dim" and isinstance(kind, type):
             return kind()
-        # Nothing that the present release reads; a later one may.
+        # The current release reads nothing else; a later one might.
         return getattr(self._tracer.put_model(self._model), name)
 
 
 @dataclasses.dataclass
-class TracedData:
-    """Stands for `mujoco_warp.make_data(model)`: where things are in each of the worlds."""
+class WarpData:
+    """Replaces `mujoco_warp.make_data(model)`: world poses for each image."""
 
     nworld: int
     geom_xpos: Any
@@ -62,8 +62,8 @@ class TracedData:
     flexvert_xpos: Any
 
     @classmethod
-    def of(cls, warp: ModuleType, placement: Placement) -> TracedData:
-        """Put a placement on Warp's present device."""
+    def of(cls, warp: ModuleType, placement: Placement) -> WarpData:
+        """Copy a placement to Warp's current device."""
         worlds = len(placement.camera_position)
         return cls(
             nworld=worlds,
@@ -77,11 +77,11 @@ class TracedData:
         )
 
 
-def tighten(model: Any, placement: Placement, context: Any) -> None:
-    """Shrink the boxes in which a ray looks for meshes to what the meshes fill.
+def tighten_bounds(model: Any, placement: Placement, context: Any) -> None:
+    """Shrink the bounding boxes of meshes in the renderer's hierarchy to the meshes' extent.
 
-    mujoco-warp takes the box of a box that is centred on the mesh's frame. Every ray that enters a box searches the
-    mesh in it, so that smaller boxes spare searches; what is hit stays the same.
+    mujoco-warp bounds a box that is centred on the mesh's frame. Every ray that enters a bounding box is intersected
+    with its mesh, so that tighter boxes save time; the images stay the same.
     """
     geoms = context.enabled_geom_ids.numpy()
     shape = (len(placement.geom_position), len(geoms), 3)
@@ -91,9 +91,9 @@ def tighten(model: Any, placement: Placement, context: Any) -> None:
         if int(model.geom_type[geom]) != _MESH or mesh < 0:
             continue
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-        turned = model.mesh_vert[first : first + count] @ placement.geom_rotation[:, geom].swapaxes(-1, -2)
-        lower[:, place] = turned.min(axis=1) + placement.geom_position[:, geom] - MARGIN
-        upper[:, place] = turned.max(axis=1) + placement.geom_position[:, geom] + MARGIN
+        rotated = model.mesh_vert[first : first + count] @ placement.geom_rotation[:, geom].swapaxes(-1, -2)
+        lower[:, place] = rotated.min(axis=1) + placement.geom_position[:, geom] - MARGIN
+        upper[:, place] = rotated.max(axis=1) + placement.geom_position[:, geom] + MARGIN
     context.lower.assign(lower.reshape(-1, 3))
     context.upper.assign(upper.reshape(-1, 3))
     context.bvh.refit()

@@ -1,22 +1,21 @@
-"""Starts Warp and mujoco-warp, keeps them quiet, and cleans up after them."""
+"""Start-up of Warp and mujoco-warp, their log level, and their garbage."""
 
 from __future__ import annotations
 
 import functools
 import gc
 import importlib
-import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import ModuleType
 from typing import Any
 
 from objectflow.errors import MissingExtraError, ObjectflowError
+from objectflow.runtime.quiet import silence_stderr
 
 
 def import_tracer() -> tuple[ModuleType, ModuleType]:
-    """Warp and mujoco-warp, started.
+    """Import and start Warp and mujoco-warp.
 
     Raises:
         MissingExtraError: one of them is not installed.
@@ -25,20 +24,21 @@ def import_tracer() -> tuple[ModuleType, ModuleType]:
         import warp
     except ImportError as error:
         raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
-    with quiet(warp), _without_standard_error():
+    # Warp warns about a missing CUDA driver, which most machines do not need.
+    with quiet(warp), silence_stderr():
         try:
             import mujoco_warp
         except ImportError as error:
             raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
         warp.init()
-    _remember_versions()
+    _cache_version_checks()
     return warp, mujoco_warp
 
 
-def _remember_versions() -> None:
-    """Let mujoco-warp look up MuJoCo's version once, and not ninety times a scene: a tenth of a scene's time.
+def _cache_version_checks() -> None:
+    """Make mujoco-warp look up MuJoCo's version once instead of ninety times per scene: a tenth of the time.
 
-    A release that has the function elsewhere is only slower.
+    Releases without this function are slower but otherwise unaffected.
     """
     with suppress(ImportError, AttributeError):
         package: Any = importlib.import_module("mujoco_warp._src.util_pkg")
@@ -47,10 +47,10 @@ def _remember_versions() -> None:
 
 
 def find_warp_device(warp: ModuleType, device: str) -> Any:
-    """Warp's device of "cpu" or "cuda".
+    """The Warp device of "cpu" or "cuda".
 
     Raises:
-        ObjectflowError: there is none.
+        ObjectflowError: another name, or no CUDA device.
     """
     if device not in ("cpu", "cuda"):
         raise ObjectflowError(f"there is no device {device!r}: choose cpu or cuda")
@@ -61,7 +61,7 @@ def find_warp_device(warp: ModuleType, device: str) -> Any:
 
 @contextmanager
 def quiet(warp: ModuleType) -> Iterator[None]:
-    """Hold back what Warp prints as it starts and loads its modules, unless somebody asked it for all it can say."""
+    """Suppress the messages of Warp about its start and its modules, unless its log level is DEBUG."""
     level = warp.config.log_level
     warp.config.log_level = max(level, warp.LOG_WARNING) if level > warp.LOG_DEBUG else level
     try:
@@ -71,27 +71,12 @@ def quiet(warp: ModuleType) -> Iterator[None]:
 
 
 @contextmanager
-def _without_standard_error() -> Iterator[None]:
-    """Drop what even native code writes there: Warp's warning that there is no CUDA driver is not for everybody."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
-
-
-@contextmanager
 def cycles_freed() -> Iterator[None]:
-    """Free at once what refers to itself.
+    """Free reference cycles at the end of the block.
 
-    mujoco-warp leaves objects behind that refer to each other and to the scene. Python frees them only when it next
-    goes through everything there is, hundreds of scenes later, and does not know how many megabytes a scene holds.
-    What is made here stays young as long as nothing is collected meanwhile, and going through the young is quick.
+    mujoco-warp leaves objects that refer to each other and to the scene. Python would free them only at the next full
+    collection, hundreds of scenes later, since it does not know how many megabytes a scene holds. As long as nothing
+    is collected inside the block, these objects stay in the youngest generation, whose collection is fast.
     """
     enabled = gc.isenabled()
     gc.disable()

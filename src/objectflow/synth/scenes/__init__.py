@@ -1,1 +1,1 @@
-"""What lies where in a generated scene, and how it looks."""
+"""Contents and appearance of generated scenes."""

@@ -1,4 +1,4 @@
-"""What is done to objects: pushed, slid, turned, lifted, toppled or let fall; drawn as plain data."""
+"""Actions on objects as plain data: push, slide, turn, lift, topple, fall."""
 
 from __future__ import annotations
 
@@ -10,30 +10,30 @@ import numpy as np
 
 from objectflow.typing import Float64Array
 
-Kind = Literal["push", "slide", "turn", "lift", "topple", "fall"]
+ActionKind = Literal["push", "slide", "turn", "lift", "topple", "fall"]
 
-KINDS: tuple[Kind, ...] = ("push", "slide", "turn", "lift", "topple", "fall")
-SHARES = (0.17, 0.2, 0.13, 0.17, 0.13, 0.2)
-"""How often each is drawn."""
+ACTION_KINDS: tuple[ActionKind, ...] = ("push", "slide", "turn", "lift", "topple", "fall")
+ACTION_PROBABILITIES = (0.17, 0.2, 0.13, 0.17, 0.13, 0.2)
+"""Probability of each kind, in the order of `ACTION_KINDS`."""
 
 
 @dataclass(frozen=True)
 class Action:
-    """What happens to one object.
+    """An action on one object.
 
     Attributes:
-        kind: "push" (a blow along the ground, then it is on its own), "slide" (led along the ground), "turn" (about
-            the vertical), "lift" (led up, tilted on the way, and held), "topple" (tipped over an edge, then let go),
-            "fall" (held in the air, then let go).
-        object: its place in the scene, from 0.
-        start, frames: when it begins, and for how long the object is led.
-        heading: radians; where to, on the ground.
-        path: metres along the ground (slide), or upwards (lift).
-        speed: metres a second (push).
-        angle: radians: about the vertical (slide, turn), of the tilt (lift, topple).
+        kind: "push" (an impulse along the ground, then free motion), "slide" (driven along the ground), "turn" (driven
+            about the vertical), "lift" (driven upwards, tilted on the way, and held), "topple" (driven over an edge,
+            then released), "fall" (held in the air, then released).
+        object: index of the object in the scene, from 0.
+        start, frames: first frame and duration of the driven motion.
+        heading: direction along the ground, radians.
+        path: distance along the ground (slide) or upwards (lift), metres.
+        speed: initial speed (push), metres per second.
+        angle: rotation about the vertical (slide, turn) or tilt (lift, topple), radians.
     """
 
-    kind: Kind
+    kind: ActionKind
     object: int
     start: int
     frames: int
@@ -49,14 +49,14 @@ class Action:
 
     @property
     def axis(self) -> Float64Array:
-        """(3,) unit vector: the axis of the tilt, level and across the heading."""
+        """(3,) unit vector: the horizontal axis of the tilt, perpendicular to the heading."""
         return np.array([-math.sin(self.heading), math.cos(self.heading), 0.0])
 
 
 def draw_action(rng: np.random.Generator, item: int, latest: int) -> Action:
-    """An action on an object, which begins at frame `latest` at the latest."""
-    kind = KINDS[int(rng.choice(len(KINDS), p=SHARES))]
-    turn = {
+    """Draw an action on object `item` that starts no later than frame `latest`."""
+    kind = ACTION_KINDS[int(rng.choice(len(ACTION_KINDS), p=ACTION_PROBABILITIES))]
+    angle = {
         "slide": rng.uniform(-0.6, 0.6),
         "turn": rng.choice((-1, 1)) * rng.uniform(0.3, 2.2),
         "lift": rng.uniform(-0.6, 0.6),
@@ -71,12 +71,12 @@ def draw_action(rng: np.random.Generator, item: int, latest: int) -> Action:
         heading=float(rng.uniform(0, 2 * math.pi)),
         path=float(path.get(kind, 0.0)),
         speed=float(rng.uniform(0.4, 1.3)),
-        angle=float(turn.get(kind, 0.0)),
+        angle=float(angle.get(kind, 0.0)),
     )
 
 
-def is_led(action: Action, time: float) -> bool:
-    """Whether an object's velocity is the action's at a time, in frames: gravity must not pull at it then."""
+def is_driven(action: Action, time: float) -> bool:
+    """Whether the action prescribes its object's velocity at a time in frames; gravity is then switched off."""
     if action.kind == "fall":
         return time < action.start
     if action.kind == "push":
@@ -84,16 +84,16 @@ def is_led(action: Action, time: float) -> bool:
     return action.start <= time and (action.kind == "lift" or time < action.start + action.frames)
 
 
-def led_velocity(action: Action, time: float, frame: float, arm: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """The velocity of a led object's origin, m/s, and its angular velocity, rad/s, in the world.
+def driven_velocity(action: Action, time: float, frame: float, arm: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Velocity of a driven object's origin, m/s, and its angular velocity, rad/s, in the world frame.
 
-    Paths begin and end at rest (the fifth-order polynomial of least jerk); toppling ends at full speed.
+    Motions start and end at rest (the fifth-order minimum-jerk polynomial); toppling ends at full speed.
 
     Args:
-        action: what leads it.
-        time: in frames, fractions too.
-        frame: seconds a frame.
-        arm: (3,) metres from the edge over which it is tipped to its origin.
+        action: the action that drives the object.
+        time: time in frames, may be fractional.
+        frame: duration of a frame, seconds.
+        arm: (3,) vector from the tipping edge to the object's origin, metres.
     """
     zero = np.zeros(3)
     share = (time - action.start) / action.frames
@@ -107,5 +107,5 @@ def led_velocity(action: Action, time: float, frame: float, arm: Float64Array) -
         return zero, rate * action.angle * upwards
     if action.kind == "lift":
         return rate * action.path * upwards, rate * action.angle * action.axis
-    spin = 2 * share / (action.frames * frame) * action.angle * action.axis
-    return np.cross(spin, arm), spin
+    angular = 2 * share / (action.frames * frame) * action.angle * action.axis
+    return np.cross(angular, arm), angular

@@ -1,4 +1,4 @@
-"""How things look: colours, textures and shine of objects and floors, and the lights."""
+"""Appearance: colours, textures and reflectance of objects and floors, and the lights."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ import numpy as np
 
 from objectflow.synth.scenes.scene_data import Floor, Light
 from objectflow.synth.scenes.textures import FLOOR_KINDS, OBJECT_KINDS, Rgb, TextureSpec
+from objectflow.typing import Float64Array
 
-Tone = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+HsvRange = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""Ranges of hue, saturation and value, each 0..1."""
 
-_TONES: dict[str, Tone] = {
+_FLOOR_COLORS: dict[str, HsvRange] = {
     "wood": ((0.04, 0.12), (0.25, 0.65), (0.35, 0.8)),
     "tiles": ((0.0, 1.0), (0.02, 0.3), (0.5, 0.95)),
     "gravel": ((0.05, 0.15), (0.05, 0.3), (0.4, 0.8)),
 }
-"""Ranges of hue, saturation and value of floors that have colours of their own."""
-_FLOOR: Tone = ((0.0, 1.0), (0.02, 0.5), (0.35, 0.9))
-_OBJECT: Tone = ((0.0, 1.0), (0.05, 0.85), (0.35, 0.97))
+"""Colours of floor textures with a typical colour."""
+_ANY_FLOOR: HsvRange = ((0.0, 1.0), (0.02, 0.5), (0.35, 0.9))
+_OBJECT: HsvRange = ((0.0, 1.0), (0.05, 0.85), (0.35, 0.97))
 
 
 def draw_surface(rng: np.random.Generator, own_texture: bool) -> tuple[TextureSpec, float, float]:
-    """An object's texture, specular share and shininess; dull and shiny things are as many."""
+    """Draw an object's texture, specular coefficient and shininess; half of the objects are shiny."""
     kind = OBJECT_KINDS[int(rng.choice(len(OBJECT_KINDS), p=(0.35, 0.2, 0.2, 0.25)))]
     spec = TextureSpec(kind, int(rng.integers(2**31)), _colors(rng, _OBJECT), int(rng.integers(2, 6)))
     if own_texture:
@@ -37,7 +39,7 @@ def draw_surface(rng: np.random.Generator, own_texture: bool) -> tuple[TextureSp
 
 
 def draw_floor(rng: np.random.Generator, images: Sequence[Path], image_share: float) -> Floor:
-    """A floor: a picture, or a procedural texture in colours that suit it."""
+    """Draw a floor: an image with probability `image_share`, otherwise a procedural texture in plausible colours."""
     is_image = rng.random() < image_share
     if images and is_image:
         path = images[int(rng.integers(len(images)))]
@@ -45,17 +47,17 @@ def draw_floor(rng: np.random.Generator, images: Sequence[Path], image_share: fl
         tile = rng.uniform(0.5, 1.2)
     else:
         kind = FLOOR_KINDS[int(rng.integers(len(FLOOR_KINDS)))]
-        colors = _colors(rng, _TONES.get(kind, _FLOOR))
+        colors = _colors(rng, _FLOOR_COLORS.get(kind, _ANY_FLOOR))
         texture = TextureSpec(kind, int(rng.integers(2**31)), colors, int(rng.integers(3, 8)))
         tile = rng.uniform(0.4, 1.0)
     return Floor(texture, float(tile), float(rng.uniform(0, 0.2)), float(rng.uniform(0.05, 0.5)))
 
 
 def draw_lights(rng: np.random.Generator, count: tuple[int, int]) -> tuple[Light, ...]:
-    """Lamps around the scene, warm to cold, of different energies that make a picture neither dark nor white.
+    """Draw lamps around the scene, from warm to cold, whose total energy gives well-exposed images.
 
-    Most of the light comes from all sides, as walls and a ceiling send it back to a table: shadows are soft, and a
-    thing that turns keeps most of its brightness.
+    Most of the light is ambient, as it is in a room with bright walls and a ceiling: shadows are soft, and a rotating
+    object keeps most of its brightness.
     """
     number = int(rng.integers(count[0], count[1] + 1))
     energies = rng.dirichlet(np.full(number, 2.0)) * rng.uniform(0.2, 0.6)
@@ -67,15 +69,15 @@ def draw_lights(rng: np.random.Generator, count: tuple[int, int]) -> tuple[Light
         warmth = rng.uniform(-0.15, 0.15)
         tint = np.array([1 + warmth, 1.0, 1 - warmth])
         diffuse, specular = energy * tint, min(1.0, 1.5 * energy) * tint
-        level = distance * math.cos(elevation)
-        position = (level * math.cos(azimuth), level * math.sin(azimuth), distance * math.sin(elevation))
+        radius = distance * math.cos(elevation)
+        position = (radius * math.cos(azimuth), radius * math.sin(azimuth), distance * math.sin(elevation))
         lights.append(Light(position, _vector(diffuse), _vector(specular), (float(ambient),) * 3))
     return tuple(lights)
 
 
-def _colors(rng: np.random.Generator, tone: Tone) -> tuple[Rgb, Rgb, Rgb]:
-    """Three colours that go together, as people choose them: two of neighbouring hues, and a neutral or a contrast."""
-    hue, saturation, value = (float(rng.uniform(*limits)) for limits in tone)
+def _colors(rng: np.random.Generator, colors: HsvRange) -> tuple[Rgb, Rgb, Rgb]:
+    """Draw three matching colours: two of neighbouring hues, and one that is neutral or of the opposite hue."""
+    hue, saturation, value = (float(rng.uniform(*limits)) for limits in colors)
     near = hue + float(rng.uniform(-0.07, 0.07))
     darker = value * float(rng.uniform(0.5, 0.9)) if value > 0.5 else min(1.0, value * float(rng.uniform(1.3, 2.2)))
     contrast = float(rng.uniform(0.0, 1.0))
@@ -88,6 +90,6 @@ def _rgb(hue: float, saturation: float, value: float) -> Rgb:
     return red, green, blue
 
 
-def _vector(values: np.ndarray[tuple[int], np.dtype[np.float64]]) -> tuple[float, float, float]:
+def _vector(values: Float64Array) -> tuple[float, float, float]:
     x, y, z = map(float, values)
     return x, y, z

@@ -1,9 +1,9 @@
-"""Drawing a scene: objects, their start in the air, floor, lights and views, all from one rng (section IV-A)."""
+"""Scenes of the paper (section IV-A): objects start in the air and fall onto a floor; drawn from one generator."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,96 +15,92 @@ from objectflow.geometry.camera import Camera
 from objectflow.synth.objects.library import Library
 from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.scenes.appearance import draw_floor, draw_lights, draw_surface
-from objectflow.synth.scenes.initial_layout import hang
-from objectflow.synth.scenes.scene_data import Floor, Light, Scene, SceneObject, View
+from objectflow.synth.scenes.initial_layout import bounding_boxes, covered_radius, place_objects
+from objectflow.synth.scenes.scene_data import Scene, SceneObject, View
 from objectflow.synth.scenes.textures import list_images
-from objectflow.typing import Float64Array
-
-__all__ = ["Floor", "Light", "Scene", "SceneObject", "SceneSettings", "View", "draw_scene", "draw_scene_and_models"]
 
 Range = tuple[float, float]
 
-_TRIES_TO_LOAD = 30
-"""Models drawn in a row that may be broken before the library is given up."""
+_LOAD_TRIES = 30
+"""Number of consecutive broken models after which the library is given up."""
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """What scenes are drawn from; the defaults are the paper's, where it or its code says."""
+    """Distributions that scenes are drawn from; the defaults are those of the paper and its code, where known."""
 
     objects: tuple[int, int] = (1, 30)
-    """Objects a scene, from and to."""
+    """Minimum and maximum number of objects."""
     size: Range = (0.07, 0.3)
-    """Longest side of an object in metres; models outside are scaled to fit."""
+    """Longest side of an object, metres; other models are scaled to fit."""
     size_jitter: float = 1.25
-    """Objects are up to this factor smaller or larger than their model."""
+    """Maximum factor by which an object is smaller or larger than its model."""
     drop_height: float = 0.2
-    """Metres between the floor and the lowest corner of the objects' boxes, at the start."""
+    """Height of the lowest corner of the objects' boxes above the floor at the start, metres."""
     spread: float = 0.65
-    """How far apart objects start: 1 = a disc of the area that their boxes cover when laid side by side. Less piles
-    them up, and they move further; this value gives the paper's displacement (8.5 cm between frames 20 and 80)."""
+    """Radius of the disc in which objects start; 1 is a disc of the area that their boxes cover when laid side by
+    side. A smaller disc gives higher piles and larger motions; 0.65 gives the paper's displacement (8.5 cm between
+    frames 20 and 80)."""
     density: Range = (200.0, 900.0)
-    """Kilograms a cubic metre."""
+    """Density of objects, kg/m^3."""
     width: int = 320
-    """Pixels."""
+    """Image width, pixels."""
     height: int = 240
-    """Pixels."""
+    """Image height, pixels."""
     focal: Range = (236.46, 236.46)
-    """Focal length in pixels at a width of 320 (RealSense SR300); it grows with the width."""
+    """Focal length at a width of 320, pixels (RealSense SR300); it is scaled with the width."""
     principal_shift: float = 0.0
-    """Up to this many pixels, at a width of 320, between the principal point and the image's middle."""
+    """Maximum offset of the principal point from the image centre at a width of 320, pixels."""
     distance: Range = (0.2, 0.8)
-    """Metres from the camera to the scene's centre."""
+    """Distance from the camera to the scene's centre, metres."""
     elevation: Range = (20.0, 90.0)
-    """Degrees above the floor."""
+    """Elevation of the camera above the floor, degrees."""
     roll: Range = (-1.0, 1.0)
-    """Degrees."""
+    """Roll of the camera, degrees."""
     views: int = 8
-    """Views drawn; a caller that needs fewer takes those that no object blocks."""
+    """Number of views drawn; a caller that needs fewer uses the first that no object blocks."""
     lights: tuple[int, int] = (1, 4)
-    """Lights, from and to; the renderer's kernel is made for at most 4."""
+    """Minimum and maximum number of lights; the renderer's kernel is compiled for at most 4."""
     images: Path | None = None
-    """Folder of pictures for floors; procedural textures alone without one."""
+    """Folder of floor images; None for procedural textures only."""
     image_share: float = 0.5
-    """Share of the floors that are pictures, where there is a folder."""
+    """Share of floors with an image, 0..1, where there is a folder."""
 
 
-def draw_scene(rng: np.random.Generator, library: Library, split: str, settings: SceneSettings) -> Scene:
-    """Draw a scene; see `draw_scene_and_models`."""
-    return draw_scene_and_models(rng, library, split, settings)[0]
-
-
-def draw_scene_and_models(
+def draw_paper_scene(
     rng: np.random.Generator,
     library: Library,
     split: str,
     settings: SceneSettings,
     skip: Callable[[str], None] | None = None,
 ) -> tuple[Scene, tuple[ObjectModel, ...]]:
-    """Draw a scene, and hand over the models that were loaded on the way.
+    """Draw a scene, and return it with the loaded models of its objects.
 
     Args:
-        rng: the scene's only source of chance.
-        library: where objects come from.
+        rng: the scene's only source of randomness.
+        library: source of the objects.
         split: "train", "val" or "test".
-        settings: see there.
-        skip: told, in one line, of a model that cannot be loaded, which is then replaced. None: it ends the drawing.
+        settings: distributions that the scene is drawn from.
+        skip: receives one line per model that cannot be loaded and is replaced. None: such a model raises.
 
     Raises:
-        DatasetError: an unknown split, settings that cannot be, or a library whose models cannot be loaded.
+        DatasetError: an unknown split, invalid settings, or a library whose models cannot be loaded.
     """
     check_scene_settings(settings)
     count = int(rng.integers(settings.objects[0], settings.objects[1] + 1))
-    models = tuple(load_any(rng, library, split, skip) for _ in range(count))
+    models = tuple(load_random_model(rng, library, split, skip) for _ in range(count))
     scales = [draw_scale(rng, model, settings) for model in models]
-    # Normal coordinates in four dimensions have no direction that they prefer, so neither have the rotations.
+    # Four normally distributed coordinates are isotropic, and so give uniformly distributed rotations.
     rotations = Rotation.from_quat(rng.normal(size=(count, 4)))
-    centers = _draw_start(rng, models, scales, rotations.as_matrix(), settings)
+    boxes = bounding_boxes(models, scales)
+    radius = settings.spread * covered_radius(boxes[1])
+    origins = place_objects(rng, rotations.as_matrix(), boxes, settings.drop_height, radius, tries=4)
     objects = []
-    for model, scale, quaternion, position in zip(
-        models, scales, rotations.as_quat(scalar_first=True), centers, strict=True
+    for model, scale, quaternion, origin in zip(
+        models, scales, rotations.as_quat(scalar_first=True), origins, strict=True
     ):
-        w, x, y, z = map(float, quaternion)
+        w, qx, qy, qz = map(float, quaternion)
+        x, y, z = map(float, origin)
         texture, specular, shininess = draw_surface(rng, model.texture is not None)
         objects.append(
             SceneObject(
@@ -112,8 +108,8 @@ def draw_scene_and_models(
                 name=model.name,
                 scale=scale,
                 density=float(rng.uniform(*settings.density)),
-                position=_floats(position),
-                quaternion=(w, x, y, z),
+                position=(x, y, z),
+                quaternion=(w, qx, qy, qz),
                 texture=texture,
                 specular=specular,
                 shininess=shininess,
@@ -131,69 +127,52 @@ def draw_scene_and_models(
 
 
 def check_scene_settings(settings: SceneSettings) -> None:
-    """Refuse settings that no scene can have.
+    """Check that scenes can be drawn from settings.
 
     Raises:
-        DatasetError: a range that runs backwards, or values without sense.
+        DatasetError: a range is empty or a value is out of bounds.
     """
     for name in ("objects", "size", "density", "focal", "distance", "lights"):
         low, high = getattr(settings, name)
         if not 0 < low <= high:
             raise DatasetError(f"scene settings: {name} must be a range above 0, from low to high, not {low} {high}")
     if not 0 <= settings.elevation[0] <= settings.elevation[1] <= 90:
-        raise DatasetError(f"scene settings: elevation must lie within 0 and 90 degrees, not {settings.elevation}")
+        raise DatasetError(f"scene settings: elevation must be within 0 and 90 degrees, not {settings.elevation}")
     if settings.lights[1] > 4 or settings.views < 1 or settings.size_jitter < 1:
         raise DatasetError("scene settings: at most 4 lights, at least 1 view, a size jitter of at least 1")
 
 
-def load_any(
+def load_random_model(
     rng: np.random.Generator, library: Library, split: str, skip: Callable[[str], None] | None
 ) -> ObjectModel:
-    """Any model of a split that can be loaded; `skip` is told of those that cannot.
+    """Load a random model of a split; `skip` receives a line for each one that cannot be loaded.
 
     Raises:
-        DatasetError: an unknown split, or too many broken models in a row.
+        DatasetError: an unknown split, or too many consecutive broken models.
     """
     refs = library.refs(split)
     if not refs:
         raise DatasetError(f"the library has no models in split {split}: choose another split, or add meshes")
-    for _ in range(_TRIES_TO_LOAD):
+    for _ in range(_LOAD_TRIES):
         try:
             return library.load(refs[int(rng.integers(len(refs)))])
         except DatasetError as error:
             if skip is None:
                 raise
             skip(str(error))
-    raise DatasetError(f"{_TRIES_TO_LOAD} models in a row cannot be loaded: see the notes above for their names")
+    raise DatasetError(f"{_LOAD_TRIES} models in a row cannot be loaded: see the notes above for their names")
 
 
 def draw_scale(rng: np.random.Generator, model: ObjectModel, settings: SceneSettings) -> float:
-    """Times the model's own size, which the settings limit."""
+    """Draw the factor on a model's own size; the resulting size is clipped to the settings' range."""
     longest = float(np.ptp(model.vertices, axis=0).max())
     jitter = math.log(settings.size_jitter)
     wanted = longest * math.exp(rng.uniform(-jitter, jitter))
     return float(np.clip(wanted, *settings.size)) / longest
 
 
-def _draw_start(
-    rng: np.random.Generator,
-    models: Sequence[ObjectModel],
-    scales: Sequence[float],
-    rotations: Float64Array,
-    settings: SceneSettings,
-) -> Float64Array:
-    """(N, 3) positions of the objects' origins."""
-    low = np.stack([model.vertices.min(axis=0) * scale for model, scale in zip(models, scales, strict=True)])
-    high = np.stack([model.vertices.max(axis=0) * scale for model, scale in zip(models, scales, strict=True)])
-    half = (high - low) / 2
-    sides = np.sort(2 * half, axis=1)
-    radius = settings.spread * math.sqrt(float((sides[:, 1] * sides[:, 2]).sum()) / math.pi)
-    boxes = hang(rng, rotations, half, settings.drop_height, radius, tries=4)
-    return np.asarray(boxes - np.einsum("nij,nj->ni", rotations, (high + low) / 2))
-
-
 def draw_intrinsics(rng: np.random.Generator, settings: SceneSettings) -> Camera:
-    """A camera of the settings' size."""
+    """Draw the intrinsics of a camera with the settings' image size."""
     unit = settings.width / 320
     focal = float(rng.uniform(*settings.focal)) * unit
     shift = rng.uniform(-1, 1, 2) * settings.principal_shift * unit
@@ -208,7 +187,7 @@ def draw_intrinsics(rng: np.random.Generator, settings: SceneSettings) -> Camera
 
 
 def _draw_view(rng: np.random.Generator, settings: SceneSettings) -> View:
-    # Not always dead centre: nothing says that a pile lies in the middle of the image.
+    # The target is jittered: real images are not centred on a pile either.
     x, y = map(float, rng.uniform(-0.04, 0.04, 2))
     low, high = (math.sin(math.radians(angle)) for angle in settings.elevation)
     return View(
@@ -218,8 +197,3 @@ def _draw_view(rng: np.random.Generator, settings: SceneSettings) -> View:
         elevation=math.asin(rng.uniform(low, high)),
         roll=math.radians(rng.uniform(*settings.roll)),
     )
-
-
-def _floats(values: Float64Array) -> tuple[float, float, float]:
-    x, y, z = map(float, values)
-    return x, y, z

@@ -1,20 +1,15 @@
-"""A scene as plain data: which objects hang where, over which floor, lit and seen from where; drawn from one rng."""
+"""A scene as plain data: objects and their start poses, floor, furniture, lights and cameras."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from objectflow.errors import DatasetError
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.se3 import make_transform
-from objectflow.synth.objects.model import ModelRef
 from objectflow.synth.scenes.textures import TextureSpec
 from objectflow.typing import Float64Array
 
@@ -27,86 +22,88 @@ class SceneObject:
 
     category: str
     name: str
+    """Name of the model in its library."""
     scale: float
-    """Times the model's own size."""
+    """Factor on the model's own size."""
     density: float
-    """Kilograms a cubic metre, of its collision parts."""
+    """Density of the collision parts, kg/m^3."""
     position: Vector
-    """Metres, of the object's origin in the world (z up, the floor at 0)."""
+    """Position of the object's origin in the world, metres (z up, support at height 0)."""
     quaternion: tuple[float, float, float, float]
     """(w, x, y, z) of `world_R_object`."""
     texture: TextureSpec
     specular: float
+    """Specular coefficient, 0..1."""
     shininess: float
-
-    @property
-    def ref(self) -> ModelRef:
-        """The model's name in its library."""
-        return ModelRef(self.category, self.name)
+    """Shininess, 0..1."""
 
     @property
     def world_T_object(self) -> Float64Array:
-        """(4, 4) pose at the start."""
+        """(4, 4) start pose."""
         return make_transform(Rotation.from_quat(self.quaternion, scalar_first=True).as_matrix(), self.position)
 
 
 @dataclass(frozen=True)
 class Floor:
-    """A square floor around the scene's centre."""
+    """A square floor around the scene's centre; also the surface of a slab."""
 
     texture: TextureSpec
     tile: float
-    """Metres that one copy of the texture covers."""
+    """Side length of one repetition of the texture, metres."""
     specular: float
+    """Specular coefficient, 0..1."""
     shininess: float
+    """Shininess, 0..1."""
     height: float = 0.0
-    """Metres, of the floor in the world; below 0 where objects lie on a table."""
+    """Height of the floor in the world, metres; below 0 where the objects lie on a table."""
 
 
 @dataclass(frozen=True)
 class Slab:
-    """A box that never moves: a table's top, a wall, a side of a bin."""
+    """A fixed box: a table top, a wall, a side of a bin."""
 
     center: Vector
     """Metres, in the world."""
-    turn: float
-    """Radians about the world's z axis."""
+    yaw: float
+    """Rotation about the world's z axis, radians."""
     half: Vector
-    """Half its sides, metres."""
+    """Half its side lengths, metres."""
     surface: Floor
-    """How it looks; the height does not count."""
+    """Its appearance; the height is not used."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """A lamp that shines to all sides and casts shadows; colours are RGB, 1 = as bright as the surface's own."""
+    """An omnidirectional light that casts shadows; colours are RGB, and 1 reproduces the surface's own colour."""
 
     position: Vector
+    """Metres, in the world."""
     diffuse: Vector
     specular: Vector
     ambient: Vector
-    """Reaches everything, shadows too."""
+    """Light on every surface, including shadows."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Where a camera stands: on a sphere around its target, which is near the scene's centre."""
+    """A camera pose: a point on a sphere around the target, which is near the scene's centre. Angles in radians."""
 
     target: Vector
+    """Metres, in the world."""
     distance: float
-    """Metres."""
+    """From the target, metres."""
     azimuth: float
     elevation: float
-    """Above the floor's plane, like all angles here in radians."""
+    """Above the horizontal plane."""
     roll: float
-    """About the viewing direction; at 0 the image's x axis is level."""
+    """About the viewing direction; at 0 the image's x axis is horizontal."""
 
     @property
     def world_T_camera(self) -> Float64Array:
         """(4, 4), camera frame x right, y down, z forward."""
         ca, sa, ce, se = (f(x) for x in (self.azimuth, self.elevation) for f in (math.cos, math.sin))
         backward = np.array([ca * ce, sa * ce, se])
-        # Written out instead of crossed with "up", so that it is defined straight above the target too.
+        # This form, unlike a cross product with the vertical, is also defined for a camera straight above the target.
         right = np.array([-sa, ca, 0.0])
         level = np.stack([right, np.cross(-backward, right), -backward], axis=1)
         world_R_camera = level @ Rotation.from_euler("z", self.roll).as_matrix()
@@ -115,7 +112,7 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything physics and rendering need besides the models themselves."""
+    """All that physics and rendering need besides the object models."""
 
     objects: tuple[SceneObject, ...]
     """Object k, from 1, has label k."""
@@ -125,46 +122,4 @@ class Scene:
     """Of every view."""
     views: tuple[View, ...]
     slabs: tuple[Slab, ...] = ()
-    """Furniture, walls and the like: background, as the floor is."""
-
-    @property
-    def camera(self) -> View:
-        """The first view."""
-        return self.views[0]
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able; `from_dict` gives the same scene back."""
-        return dataclasses.asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Scene:
-        """The inverse of `to_dict`, also after a way through JSON.
-
-        Raises:
-            DatasetError: keys are missing or unknown.
-        """
-        try:
-            return cls(
-                objects=tuple(SceneObject(**_tuples(item)) for item in data["objects"]),
-                floor=Floor(**_tuples(data["floor"])),
-                lights=tuple(Light(**_tuples(item)) for item in data["lights"]),
-                intrinsics=Camera(**data["intrinsics"]),
-                views=tuple(View(**_tuples(item)) for item in data["views"]),
-                slabs=tuple(Slab(**_tuples(item)) for item in data.get("slabs", ())),
-            )
-        except (KeyError, TypeError) as error:
-            raise DatasetError(f"not a scene: {error}; was it written by another version?") from error
-
-
-def _tuples(data: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON's lists as the tuples they were, and the texture as itself."""
-    out: dict[str, Any] = {}
-    for name, value in data.items():
-        if name == "texture":
-            colors = tuple(tuple(color) for color in value["colors"])
-            out[name] = TextureSpec(**{**value, "colors": colors})
-        elif name == "surface":
-            out[name] = Floor(**_tuples(value))
-        else:
-            out[name] = tuple(value) if isinstance(value, list | tuple) else value
-    return out
+    """Furniture and walls, which are background like the floor."""

@@ -1,4 +1,4 @@
-"""Where things lie in the preset `wild`: on a table with edges, on a floor or in a bin, with walls behind."""
+"""Support and surroundings of clutter scenes: a table, a floor or a bin, and walls."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from objectflow.synth.scenes.scene_data import Floor, Slab
 from objectflow.synth.scenes.textures import TextureSpec
 from objectflow.typing import Float64Array
 
+CAMERA_CLEARANCE = 0.05
+"""Minimum distance between a camera and a slab along the slab's axes, metres."""
 _BARE = Floor(TextureSpec("plain"), 1.0, 0.0, 0.1)
+"""Placeholder for a surface that is drawn later."""
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What stands around the objects, whose support is at height 0.
+    """The fixed parts of a scene; the objects' support is at height 0.
 
     Attributes:
-        floor: its height; 0 where objects lie on it.
-        slabs: each with the name of its group, which shares a surface.
-        front: azimuth, radians, of the side without walls.
-        walls: whether there are any.
+        floor: height of the floor, metres; 0 where the objects lie on it.
+        slabs: each with the name of its group; the slabs of a group share a surface.
+        front: azimuth of the side without walls, radians.
+        walls: whether there are walls.
     """
 
     floor: float
@@ -32,9 +35,14 @@ class Surroundings:
 
 
 def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
-    """Draw what is around a disc of objects of a radius in metres: half of them are tables, some hold a bin."""
+    """Draw the surroundings of a disc of objects: a table in 60% of the scenes, a bin in 15%, up to two walls.
+
+    Args:
+        rng: source of randomness.
+        radius: of the disc, metres.
+    """
     front = float(rng.uniform(0, 2 * math.pi))
-    table, bin_, walls = rng.random() < 0.6, rng.random() < 0.15, int(rng.choice(3, p=(0.3, 0.4, 0.3)))
+    table, in_bin, walls = rng.random() < 0.6, rng.random() < 0.15, int(rng.choice(3, p=(0.3, 0.4, 0.3)))
     slabs: list[tuple[str, Slab]] = []
     floor = 0.0
     if table:
@@ -43,12 +51,12 @@ def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
         half = (radius + float(rng.uniform(0.08, 0.5)), radius + float(rng.uniform(0.08, 0.35)), thickness / 2)
         x, y = map(float, rng.uniform(-0.05, 0.05, 2))
         slabs.append(("table", Slab((x, y, -thickness / 2), front + float(rng.normal(0, 0.3)), half, _BARE)))
-    if bin_:
-        slabs += _bin(rng, radius)
-    for side in range(walls):
-        # The first behind, seen from the front; the second at one side of it.
-        azimuth = front + math.pi + float(rng.normal(0, 0.15)) + side * float(rng.choice((-1, 1))) * math.pi / 2
-        distance = radius + float(rng.uniform(0.25, 1.0)) + 0.3 * side
+    if in_bin:
+        slabs += _draw_bin(rng, radius)
+    for number in range(walls):
+        # The first wall is at the back, opposite to `front`; the second is at one side of it.
+        azimuth = front + math.pi + float(rng.normal(0, 0.15)) + number * float(rng.choice((-1, 1))) * math.pi / 2
+        distance = radius + float(rng.uniform(0.25, 1.0)) + 0.3 * number
         height = float(rng.uniform(0.8, 1.8))
         center = (
             distance * math.cos(azimuth),
@@ -59,10 +67,10 @@ def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
     return Surroundings(floor, tuple(slabs), front, walls > 0)
 
 
-def _bin(rng: np.random.Generator, radius: float) -> list[tuple[str, Slab]]:
-    """Four sides around the objects."""
+def _draw_bin(rng: np.random.Generator, radius: float) -> list[tuple[str, Slab]]:
+    """Draw the four sides of a bin around the objects."""
     a, b = radius + float(rng.uniform(0.06, 0.15)), radius + float(rng.uniform(0.06, 0.15))
-    height, thin, turn = float(rng.uniform(0.05, 0.16)), 0.006, float(rng.uniform(0, math.pi))
+    height, thin, yaw = float(rng.uniform(0.05, 0.16)), 0.006, float(rng.uniform(0, math.pi))
     sides = []
     for x, y, half in (
         (a, 0.0, (thin, b + thin, height / 2)),
@@ -70,29 +78,34 @@ def _bin(rng: np.random.Generator, radius: float) -> list[tuple[str, Slab]]:
         (0.0, b, (a - thin, thin, height / 2)),
         (0.0, -b, (a - thin, thin, height / 2)),
     ):
-        c, s = math.cos(turn), math.sin(turn)
-        sides.append(("bin", Slab((c * x - s * y, s * x + c * y, height / 2), turn, half, _BARE)))
+        c, s = math.cos(yaw), math.sin(yaw)
+        sides.append(("bin", Slab((c * x - s * y, s * x + c * y, height / 2), yaw, half, _BARE)))
     return sides
 
 
-def is_open(slabs: tuple[Slab, ...], eye: Float64Array, target: Float64Array) -> bool:
-    """Whether nothing stands between an eye and its target, and no slab is within 5 cm of the eye."""
+def is_unobstructed(slabs: tuple[Slab, ...], eye: Float64Array, target: Float64Array) -> bool:
+    """Whether no slab is between a camera and its target or within `CAMERA_CLEARANCE` of the camera.
+
+    Args:
+        slabs: the fixed boxes of a scene.
+        eye, target: (3,) positions in the world, metres.
+    """
     for slab in slabs:
-        c, s = math.cos(slab.turn), math.sin(slab.turn)
+        c, s = math.cos(slab.yaw), math.sin(slab.yaw)
         slab_R_world = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         start, end = (slab_R_world @ (np.asarray(p) - slab.center) for p in (eye, target))
         half = np.asarray(slab.half)
-        if (np.abs(start) <= half + 0.05).all():
+        if (np.abs(start) <= half + CAMERA_CLEARANCE).all():
             return False
-        if _crosses(start, end, half):
+        if _segment_hits_box(start, end, half):
             return False
     return True
 
 
-def _crosses(start: Float64Array, end: Float64Array, half: Float64Array) -> bool:
-    """Whether a straight line between two points goes through a box about the origin."""
-    way = end - start
-    safe = np.where(np.abs(way) < 1e-12, 1e-12, way)
+def _segment_hits_box(start: Float64Array, end: Float64Array, half: Float64Array) -> bool:
+    """Whether the line segment between two points intersects an axis-aligned box about the origin (slab method)."""
+    direction = end - start
+    safe = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     a, b = (-half - start) / safe, (half - start) / safe
     first, last = float(np.minimum(a, b).max()), float(np.maximum(a, b).min())
     return max(first, 0.0) < min(last, 1.0)

@@ -1,8 +1,7 @@
-"""Textures drawn from a few numbers: floors (wood, tiles, fabric, ...) and object surfaces (labels, stripes, ...)."""
+"""Textures of floors (wood, tiles, fabric, ...) and objects (labels, stripes, ...), drawn from a few numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,27 +9,26 @@ import cv2
 import numpy as np
 
 from objectflow.errors import DatasetError
-from objectflow.typing import Float32Array, UInt8Array
+from objectflow.synth.scenes.texture_patterns import PATTERNS
+from objectflow.typing import UInt8Array
 
 Rgb = tuple[int, int, int]
 
 FLOOR_KINDS = ("wood", "tiles", "fabric", "gravel", "noise", "checker", "plain", "paper")
 OBJECT_KINDS = ("label", "stripes", "noise", "plain")
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp")
-MIN_CONTRAST = 45
-"""Grey levels between a word and what it is printed on."""
 
 
 @dataclass(frozen=True)
 class TextureSpec:
-    """Everything that fixes a texture's pixels at a given size.
+    """The parameters that determine a texture's pixels at a given size.
 
     Attributes:
-        kind: one of FLOOR_KINDS or OBJECT_KINDS, or "image", or "model" (the picture that came with the mesh).
+        kind: one of FLOOR_KINDS or OBJECT_KINDS, "image", or "model" (the mesh file's own texture).
         seed: of the pattern.
         colors: three RGB colours: ground, pattern, accent.
-        scale: features per side; what is one depends on the kind (planks, tiles, stripes, ...).
-        path: the picture file of kind "image", otherwise "".
+        scale: number of features per side; the kind decides what a feature is (a plank, a tile, a stripe, ...).
+        path: image file of kind "image", otherwise "".
     """
 
     kind: str
@@ -41,229 +39,40 @@ class TextureSpec:
 
 
 def draw_texture(spec: TextureSpec, size: int) -> UInt8Array:
-    """Draw a square texture: (size, size, 3) uint8 RGB, tiling at its borders, the same bytes for the same spec.
+    """Draw a square texture that tiles at its borders: (size, size, 3) uint8 RGB, the same bytes for the same spec.
 
     Raises:
-        DatasetError: an unknown kind, or a picture that cannot be read.
+        DatasetError: an unknown kind, or an image that cannot be read.
     """
     if spec.kind == "image":
-        return _image(Path(spec.path), size)
-    painter = _PAINTERS.get(spec.kind)
-    if painter is None:
-        raise DatasetError(f"unknown texture kind {spec.kind!r}: one of {', '.join(_PAINTERS)}, image")
+        return _read_image(Path(spec.path), size)
+    pattern = PATTERNS.get(spec.kind)
+    if pattern is None:
+        raise DatasetError(f"unknown texture kind {spec.kind!r}: one of {', '.join(PATTERNS)}, image")
     rng = np.random.default_rng(spec.seed)
-    ground, pattern, accent = (np.array(color, dtype=np.float32) for color in spec.colors)
-    painted = painter(rng, size, spec.scale, (ground, pattern, accent))
-    return np.clip(np.rint(painted), 0, 255).astype(np.uint8)
+    ground, second, accent = (np.array(color, dtype=np.float32) for color in spec.colors)
+    drawn = pattern(rng, size, spec.scale, (ground, second, accent))
+    return np.clip(np.rint(drawn), 0, 255).astype(np.uint8)
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The picture files of a folder by name.
+    """The image files of a folder, sorted by name.
 
     Raises:
-        DatasetError: no such folder, or no picture in it.
+        DatasetError: the folder is missing or holds no images.
     """
     files = sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES) if folder.is_dir() else []
     if not files:
-        raise DatasetError(f"no pictures in {folder}: give a folder with {', '.join(IMAGE_SUFFIXES)} files")
+        raise DatasetError(f"no images in {folder}: give a folder with {', '.join(IMAGE_SUFFIXES)} files")
     return files
 
 
-def _image(path: Path, size: int) -> UInt8Array:
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if picture is None:
-        raise DatasetError(f"cannot read the texture {path}: is it a picture?")
-    side = min(picture.shape[:2])
-    # Averaging over areas: the ray tracer has no mip maps, so a sharper picture would shimmer.
+def _read_image(path: Path, size: int) -> UInt8Array:
+    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise DatasetError(f"cannot read the texture {path}: is it an image?")
+    side = min(image.shape[:2])
+    # Area averaging, because the ray tracer has no mip maps and would alias a sharper image.
     return cv2.cvtColor(
-        cv2.resize(picture[:side, :side], (size, size), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB
+        cv2.resize(image[:side, :side], (size, size), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB
     ).astype(np.uint8)
-
-
-def value_noise(rng: np.random.Generator, size: int, cells: Sequence[tuple[int, int]]) -> Float32Array:
-    """Smooth noise that tiles: (size, size) in [0, 1], a sum of octaves with (rows, columns) of random cells.
-
-    Each octave has half the weight of the one before.
-    """
-    total = np.zeros((size, size), dtype=np.float32)
-    weight = 1.0
-    for octave in cells:
-        rows, columns = (min(count, size) for count in octave)
-        grid = rng.random((rows, columns), dtype=np.float32)
-        # Two cells of wrapped border on each side, so that the interpolation tiles.
-        wrapped = cv2.copyMakeBorder(grid, 2, 2, 2, 2, cv2.BORDER_WRAP)
-        y = (np.arange(size, dtype=np.float32) + 0.5) * rows / size + 1.5
-        x = (np.arange(size, dtype=np.float32) + 0.5) * columns / size + 1.5
-        map_x, map_y = np.meshgrid(x, y)
-        total += weight * cv2.remap(wrapped, map_x, map_y, cv2.INTER_LINEAR)
-        weight /= 2
-    low, high = float(total.min()), float(total.max())
-    return ((total - low) / max(high - low, 1e-6)).astype(np.float32)
-
-
-def _mix(a: Float32Array, b: Float32Array, share: Float32Array) -> Float32Array:
-    """Blend colours (3,) or (H, W, 3) by a share (H, W)."""
-    return np.asarray(a + (b - a) * share[..., None], dtype=np.float32)
-
-
-def _octaves(scale: int) -> list[tuple[int, int]]:
-    return [(scale * 2**k, scale * 2**k) for k in range(1, 5)]
-
-
-Colors = tuple[Float32Array, Float32Array, Float32Array]
-
-
-def _plain(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    # A hint of unevenness: no real surface is one colour.
-    return _mix(colors[0], colors[0] * np.float32(0.92), value_noise(rng, size, _octaves(scale)))
-
-
-def _noise(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    first = _mix(colors[0], colors[1], value_noise(rng, size, _octaves(scale)))
-    return _mix(first, np.broadcast_to(colors[2], first.shape), value_noise(rng, size, _octaves(scale)) ** 3)
-
-
-def _checker(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    index = np.arange(size) * 2 * scale // size
-    squares = (index[:, None] + index[None, :]) % 2
-    return _mix(colors[0], colors[1], squares.astype(np.float32)) * _shade(rng, size, 0.06)
-
-
-def _shade(rng: np.random.Generator, size: int, amount: float) -> Float32Array:
-    """(H, W, 1) factors near one: dirt and wear."""
-    return np.float32(1) - np.float32(amount) * value_noise(rng, size, [(8, 8), (32, 32), (128, 128)])[..., None]
-
-
-def _wood(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    grain = value_noise(rng, size, [(3 * scale, 2), (12 * scale, 3), (40 * scale, 5)])
-    rings = 0.5 + 0.5 * np.sin(grain * np.float32(30))
-    board = np.arange(size) * scale // size
-    tone = rng.uniform(0.8, 1.1, scale).astype(np.float32)[board][:, None, None]
-    surface = _mix(colors[0], colors[1], 0.6 * grain + 0.25 * rings) * tone
-    gap = (np.arange(size) * scale % size < max(scale, size // 100 * scale)).astype(np.float32)
-    return _mix(surface, colors[2] * np.float32(0.4), np.repeat(gap[:, None], size, axis=1))
-
-
-def _tiles(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    index = np.arange(size) * scale // size
-    tone = rng.uniform(0.85, 1.0, (scale, scale)).astype(np.float32)[index][:, index][..., None]
-    marble = value_noise(rng, size, _octaves(scale))
-    surface = _mix(colors[0], colors[1], 0.35 * marble) * tone
-    joint = np.arange(size) * scale % size < max(scale, 0.05 * size)
-    lines = (joint[:, None] | joint[None, :]).astype(np.float32)
-    return _mix(surface, colors[2], lines)
-
-
-def _fabric(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    phase = np.arange(size, dtype=np.float32) * (2 * np.pi * 8 * scale / size)
-    weave = 0.5 + 0.25 * (np.sin(phase)[:, None] + np.sin(phase)[None, :])
-    band = np.arange(size) * scale // size % 3 == 0
-    cloth = _mix(colors[0], colors[1], 0.45 * (band[:, None].astype(np.float32) + band[None, :]))
-    return np.asarray(cloth * (0.75 + 0.25 * weave[..., None]) * _shade(rng, size, 0.15), dtype=np.float32)
-
-
-def _gravel(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    count = min(1500, 12 * scale * scale)
-    out = np.tile(colors[2] * np.float32(0.5), (size, size, 1))
-    for _ in range(count):
-        center = rng.integers(0, size, 2)
-        radii = np.maximum(1, rng.uniform(0.15, 0.4, 2) * size / scale).astype(int)
-        share = rng.random(2)
-        color = (colors[0] + (colors[1] - colors[0]) * share[0]) * (0.6 + 0.4 * share[1])
-        angle = float(rng.uniform(0, 180))
-        # Drawn also one period away, where a stone crosses the border.
-        for dx in (-size, 0, size):
-            for dy in (-size, 0, size):
-                x, y = int(center[0] + dx), int(center[1] + dy)
-                reach = int(radii.max())
-                if -reach < x < size + reach and -reach < y < size + reach:
-                    cv2.ellipse(out, ((x, y), (2.0 * radii[0], 2.0 * radii[1]), angle), color.tolist(), -1)
-    return out * _shade(rng, size, 0.3)
-
-
-def _letters(
-    rng: np.random.Generator, out: Float32Array, color: Float32Array, lines: int, left: float, right: float
-) -> None:
-    """Rows of dashes as long as words, in place: print as it looks from half a metre."""
-    height, size = out.shape[0] / lines, out.shape[1]
-    for line in range(lines):
-        x = left * size
-        top, bottom = int((line + 0.3) * height), int((line + 0.7) * height)
-        while x < right * size and rng.random() > 0.04:
-            width = rng.uniform(0.4, 2.0) * height
-            cv2.rectangle(out, (int(x), top), (int(min(x + width, right * size)), bottom), color.tolist(), -1)
-            x += width + 0.4 * height
-
-
-def _paper(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    out = np.full((size, size, 3), 235, dtype=np.float32) * _shade(rng, size, 0.05)
-    _letters(rng, out, colors[2] * np.float32(0.4), 6 * scale, 0.06, 0.94)
-    for _ in range(scale):
-        x, y = (rng.random(2) * 0.7 * size).astype(int)
-        w, h = (rng.uniform(0.1, 0.3, 2) * size).astype(int)
-        picture = colors[int(rng.integers(0, 2))].tolist()
-        cv2.rectangle(out, (int(x), int(y)), (int(x + w), int(y + h)), picture, -1)
-    return out
-
-
-def _stripes(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    vertical = rng.random() < 0.5
-    index = np.arange(size) * 3 * scale // size
-    choice = rng.integers(0, 3, 3 * scale)[index]
-    row = np.stack(colors)[choice]
-    out = np.repeat(row[:, None], size, axis=1)
-    return np.asarray(out if vertical else out.swapaxes(0, 1), dtype=np.float32) * _shade(rng, size, 0.08)
-
-
-def draw_word(word: str, size: int, left: float, middle: float) -> Float32Array:
-    """A (size, size) picture, 1 = ink, of a word that is whole: two thirds of the picture wide at most.
-
-    `left` is the share of the free width left of it, `middle` is the share of the height above its middle.
-    """
-    font, thick, margin = cv2.FONT_HERSHEY_SIMPLEX, max(1, size // 40), 0.05 * size
-    scale = size / 110
-    (width, _), _ = cv2.getTextSize(word, font, scale, thick)
-    scale *= min(1.0, 0.66 * size / width)
-    (width, height), _ = cv2.getTextSize(word, font, scale, thick)
-    x, y = margin + left * (size - width - 2 * margin), middle * size + height / 2
-    ink = np.zeros((size, size), dtype=np.uint8)
-    cv2.putText(ink, word, (round(x), round(y)), font, scale, (255,), thick)
-    return ink.astype(np.float32) / np.float32(255)
-
-
-def _readable(color: Float32Array, ground: Float32Array) -> Float32Array:
-    """The colour, or black or white where it could not be read on the ground."""
-    far = float(np.abs(color - ground).mean()) > MIN_CONTRAST
-    return color if far else np.full(3, 20 if ground.mean() > 127 else 235, dtype=np.float32)
-
-
-def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
-    out = _plain(rng, size, scale, colors)
-    for _ in range(int(rng.integers(1, 4))):
-        x, y = (rng.random(2) * size).astype(int)
-        cv2.circle(out, (int(x), int(y)), int(rng.uniform(0.06, 0.2) * size), colors[2].tolist(), -1)
-    # The band with the name comes above the small print, and both above the spots, so that both can be read.
-    top, height = rng.uniform(0.04, 0.25), rng.uniform(0.24, 0.34)
-    cv2.rectangle(out, (0, int(top * size)), (size, int((top + height) * size)), colors[1].tolist(), -1)
-    word = "".join(chr(65 + letter) for letter in rng.integers(0, 26, int(rng.integers(3, 7))))
-    ink = draw_word(word, size, float(rng.random()), top + height / 2)
-    out = _mix(out, _readable(colors[2], colors[1]), ink)
-    rows, columns = slice(int(0.63 * size), int(0.97 * size)), slice(int(0.5 * size), int(0.96 * size))
-    panel = np.full_like(out[rows, columns], 225)
-    _letters(rng, panel, np.full(3, 40, dtype=np.float32), 7, 0.06, 0.94)
-    out[rows, columns] = panel
-    return out
-
-
-_PAINTERS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float32Array]] = {
-    "wood": _wood,
-    "tiles": _tiles,
-    "fabric": _fabric,
-    "gravel": _gravel,
-    "noise": _noise,
-    "checker": _checker,
-    "plain": _plain,
-    "paper": _paper,
-    "label": _label,
-    "stripes": _stripes,
-}

@@ -1,1 +1,1 @@
-"""The procedural shapes: solids made by lofting rings, and the categories built from them."""
+"""Procedural shapes: lofted solids, and the object categories that are built from them."""

@@ -1,6 +1,6 @@
-"""Rotation groups as lists of axes: every axis with its highest order, for the finite ones.
+"""Rotation groups as lists of axes, each with its highest order.
 
-A continuous axis with turn-over axes across it has infinitely many of those; one stands for them all.
+The continuous dihedral group has infinitely many C2 axes perpendicular to the continuous one; one represents all.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ Vector = tuple[float, float, float]
 X: Vector = (1.0, 0.0, 0.0)
 Y: Vector = (0.0, 1.0, 0.0)
 Z: Vector = (0.0, 0.0, 1.0)
-NONE: Group = ()
+ASYMMETRIC: Group = ()
 
 
-def spin(order: int, axis: Vector = Z) -> Group:
-    """C_n about one axis; order 0 is any turn."""
+def cyclic(order: int, axis: Vector = Z) -> Group:
+    """C_n about one axis; order 0 is a continuous axis."""
     return (SymmetryAxis(axis, order),)
 
 
 def dihedral(order: int, phase: float = 0.0) -> Group:
-    """C_n about z and a half turn about n axes across it, the first at angle `phase` (radians) from x."""
+    """D_n: C_n about z, and C2 about n axes perpendicular to it, the first at angle `phase` (radians) from x."""
     if order == 0:
         return (SymmetryAxis(Z, 0), SymmetryAxis(X, 2))
     angles = [phase + math.pi * k / order for k in range(order)]
@@ -33,7 +33,7 @@ def dihedral(order: int, phase: float = 0.0) -> Group:
 
 
 def cube() -> Group:
-    """The 24 rotations of a cube along the axes: three C4, four C3, six C2."""
+    """The rotation group of an axis-aligned cube: three C4, four C3 and six C2 axes."""
     fours = [SymmetryAxis(axis, 4) for axis in (X, Y, Z)]
     s, t = 1 / math.sqrt(3), 1 / math.sqrt(2)
     threes = [SymmetryAxis((s, a * s, b * s), 3) for a, b in itertools.product((1, -1), repeat=2)]

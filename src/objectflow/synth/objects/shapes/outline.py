@@ -1,4 +1,4 @@
-"""Plane curves: closed outlines (sections of a solid) and open profiles (what a lathe follows)."""
+"""Plane curves: closed outlines (sections of a solid) and open profiles (of solids of revolution)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def circle(sides: int = 40) -> Float64Array:
 
 
 def superellipse(sides: int, exponent: float, aspect: float = 1.0) -> Float64Array:
-    """(sides, 2) curve |x|^p + |y / aspect|^p = 1: 2 is an ellipse, larger is squarer. Points at equal angles."""
+    """(sides, 2) points at equal angles on |x|^p + |y / aspect|^p = 1; p = 2 is an ellipse, larger p is squarer."""
     angle = 2 * np.pi * np.arange(sides) / sides
     c, s = np.cos(angle), np.sin(angle)
     r = (np.abs(c) ** exponent + np.abs(s) ** exponent) ** (-1 / exponent)
@@ -40,8 +40,8 @@ def polygon(corners: int, per_side: int = 1) -> Float64Array:
 def rectangle(width: float, depth: float, corner: float = 0.0, steps: int = 4) -> Float64Array:
     """Rectangle centred on the origin, its corners rounded by quarter circles of radius `corner`. Metres.
 
-    Returns (4, 2), or (4 * (steps + 1), 2) when rounded; the points begin at the middle of no side, so that a
-    turn by 180 degrees (90 for a square) maps points to points.
+    Returns (4, 2), or (4 * (steps + 1), 2) if rounded. A rotation by 180 degrees (90 for a square) maps points to
+    points.
     """
     x, y = width / 2 - corner, depth / 2 - corner
     centers = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
@@ -52,11 +52,13 @@ def rectangle(width: float, depth: float, corner: float = 0.0, steps: int = 4) -
 
 
 def rounded(points: ArrayLike, radii: float | Sequence[float], steps: int = 3) -> Float64Array:
-    """(N, D) polyline -> the same with its inner corners replaced by quadratic curves.
+    """(N, D) polyline -> the same polyline with its inner corners replaced by quadratic curves.
 
     Args:
-        radii: how far from the corner the curve begins, in metres: one for all, or one for each of the N - 2 inner
-            corners. Cut to 0.45 of the shorter neighbouring side; 0 keeps the corner sharp.
+        points: (N, D) metres.
+        radii: distance from the corner to the start of the curve, metres: one for all, or one for each of the N - 2
+            inner corners. Limited to 0.45 of the shorter adjacent side; 0 keeps the corner sharp.
+        steps: number of segments per curve.
     """
     p = np.asarray(points, dtype=np.float64)
     r = np.broadcast_to(np.asarray(radii, dtype=np.float64), (len(p) - 2,))
@@ -76,14 +78,14 @@ def rounded(points: ArrayLike, radii: float | Sequence[float], steps: int = 3) -
 
 
 def offset_inwards(profile: Float64Array, distance: float) -> Float64Array:
-    """Shift each point of a profile (N, 2), which runs up the outside, by `distance` to its left: the inside wall."""
+    """Inner wall of a vessel: the upward outer profile (N, 2), shifted to its left by `distance` metres."""
     direction = np.diff(profile, axis=0)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     normal = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
     before, after = np.concatenate([normal[:1], normal]), np.concatenate([normal, normal[-1:]])
     bisector = before + after
     bisector /= np.linalg.norm(bisector, axis=1, keepdims=True)
-    stretch = 1 / np.maximum((bisector * after).sum(axis=1), 0.65)  # a mitre, kept short at sharp corners
+    stretch = 1 / np.maximum((bisector * after).sum(axis=1), 0.65)  # a mitre, limited at sharp corners
     return np.asarray(profile + distance * stretch[:, None] * bisector)
 
 

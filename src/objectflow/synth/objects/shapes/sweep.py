@@ -1,4 +1,4 @@
-"""Tubes along a path, plates cut from an outline, and closed rings."""
+"""Tubes along a path, extruded outlines, and closed rings."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ def tube(
 
     Args:
         path: (N, 3) metres, without repeated points.
-        radius: metres; one, or one for each point.
-        section: (K, 2) outline of unit radius; its x lies across `up`, its y towards `up`. A circle of 12 when None.
-        up: (3,) keeps the section from turning; must not be parallel to the path anywhere.
-        parts: convex parts along the path.
+        radius: metres; one for all points, or one per point.
+        section: (K, 2) outline of unit radius; its x axis is perpendicular to `up`, its y axis points towards `up`.
+            None for a circle with 12 sides.
+        up: (3,) direction that fixes the section's orientation; the path must not be parallel to it.
+        parts: number of convex parts along the path.
     """
     p = np.asarray(path, dtype=np.float64)
     outline = circle(12) if section is None else section
@@ -37,20 +38,22 @@ def tube(
     above = np.cross(side, forward)
     r = np.broadcast_to(np.asarray(radius, dtype=np.float64), (len(p),))[:, None, None]
     rings = p[:, None] + r * (outline[None, :, :1] * side[:, None] + outline[None, :, 1:] * above[:, None])
-    return loft(rings, chain(rings, parts))
+    return loft(rings, segment_hulls(rings, parts))
 
 
-def chain(rings: Float64Array, parts: int) -> list[Float64Array]:
-    """Convex parts of a row of rings (M, K, 3): `parts` runs that share their end rings."""
+def segment_hulls(rings: Float64Array, parts: int) -> list[Float64Array]:
+    """Convex parts of a sequence of rings (M, K, 3): `parts` segments that share their end rings."""
     cuts = np.unique(np.linspace(0, len(rings) - 1, parts + 1).round().astype(int))
     return [rings[start : stop + 1].reshape(-1, 3) for start, stop in itertools.pairwise(cuts)]
 
 
-def plate(outline: Float64Array, height: float, bevel: float = 0.0, parts: list[Float64Array] | None = None) -> Solid:
-    """An outline (K, 2) in metres, star-shaped about its mean, raised from z = 0 to `height`.
+def extrude(
+    outline: Float64Array, height: float, bevel: float = 0.0, parts: list[Float64Array] | None = None
+) -> Solid:
+    """Extrude an outline (K, 2) in metres, star-shaped about its mean, from z = 0 to `height`.
 
-    The edges at both ends are cut by `bevel` metres. `parts` are outlines (P, 2) whose hulls cover a shape that is
-    not convex; by default the outline is taken to be convex.
+    The edges at both ends are bevelled by `bevel` metres. `parts` are outlines (P, 2) whose convex hulls cover the
+    shape; None for a convex outline.
     """
     levels = (
         [(0.0, bevel), (bevel, 0.0), (height - bevel, 0.0), (height, bevel)] if bevel > 0 else [(0, 0), (height, 0)]
@@ -66,13 +69,13 @@ def plate(outline: Float64Array, height: float, bevel: float = 0.0, parts: list[
 
 
 def hoop(inside: Float64Array, outside: Float64Array, height: float, wedges: int, bulge: int = 1) -> Solid:
-    """A closed ring between two outlines of one point count, symmetric about the plane z = 0.
+    """A closed ring between two outlines with equal numbers of points, symmetric about the plane z = 0.
 
     Args:
         inside, outside: (K, 2) metres.
         height: metres along z.
-        wedges: convex parts around.
-        bulge: 1 gives a square section, more an ever rounder one with that many points a quarter.
+        wedges: number of convex parts around the ring.
+        bulge: 1 for a square section; larger values give a rounder one with that many points per quarter.
     """
     if bulge == 1:
         section = np.array([[0, -1], [1, -1], [1, 1], [0, 1]], dtype=np.float64)
@@ -82,5 +85,5 @@ def hoop(inside: Float64Array, outside: Float64Array, height: float, wedges: int
     flat = inside[:, None] + section[None, :, :1] * (outside - inside)[:, None]
     z = np.broadcast_to(section[None, :, 1:] * height / 2, (*flat.shape[:2], 1))
     rings = np.concatenate([flat, z], axis=-1)
-    parts = chain(np.concatenate([rings, rings[:1]]), wedges)
+    parts = segment_hulls(np.concatenate([rings, rings[:1]]), wedges)
     return loft(rings, parts, closed=True)

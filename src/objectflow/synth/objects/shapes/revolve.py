@@ -1,4 +1,4 @@
-"""The lathe: solids and hollow vessels turned about the z axis, with any section in place of the circle."""
+"""Solids of revolution and hollow vessels about the z axis, with any section in place of the circle."""
 
 from __future__ import annotations
 
@@ -13,26 +13,29 @@ from objectflow.synth.objects.shapes.solid import Solid, loft
 from objectflow.typing import Float64Array
 
 Section = Float64Array | Callable[[float], Float64Array]
-"""A (K, 2) outline of about unit radius that the profile's radius scales; or one for each height z."""
+"""A (K, 2) outline of about unit radius, scaled by the profile's radius; or a function of the height z, metres."""
 
 _THICK_FLOOR = 0.006
-"""Metres: a thinner floor is passed through by what falls on it at 2 m/s between two steps of the physics."""
+"""Minimum thickness of a vessel's floor, metres: objects at 2 m/s pass through thinner ones between two steps."""
 _HULL_SIDES = 20
+"""Number of sides of a convex part, where it divides that of the section."""
 _HULL_ERROR = 0.0015
-"""Metres by which a convex part may bulge over a hollow of the profile before the stack is cut in two."""
+"""Maximum distance between a convex part and a concave section of the profile, metres."""
+_PROFILE_ERROR = 0.0005
+"""Maximum error of the simplified profile of a convex part, metres."""
 
 
-def turned(profile: ArrayLike, section: Section | None = None, hull_profile: ArrayLike | None = None) -> Solid:
-    """A solid turned about z.
+def revolve(profile: ArrayLike, section: Section | None = None, hull_profile: ArrayLike | None = None) -> Solid:
+    """A solid of revolution about z.
 
     Args:
-        profile: (N, 2) of (r, z) metres, from the lower tip to the upper one: the first and the last r are 0.
-        section: see `Section`; a circle of 40 sides when None.
-        hull_profile: the profile that the convex parts follow (without recesses); `profile` when None.
+        profile: (N, 2) of (r, z) metres, from the lower tip to the upper one; the first and the last r are 0.
+        section: see `Section`; None for a circle with 40 sides.
+        hull_profile: profile of the convex parts, without recesses; None for `profile`.
     """
     p = np.asarray(profile, dtype=np.float64)
     h = p if hull_profile is None else np.asarray(hull_profile, dtype=np.float64)
-    parts = [_thinned(_rings(h[_few(h, run)], section)).reshape(-1, 3) for run in _convex_runs(h)]
+    parts = [_thinned(_rings(h[_simplified(h, run)], section)).reshape(-1, 3) for run in _convex_runs(h)]
     return loft(_rings(p[1:-1], section), parts, (0, 0, p[0, 1]), (0, 0, p[-1, 1]))
 
 
@@ -45,14 +48,15 @@ def vessel(
     *,
     floor: float = _THICK_FLOOR,
 ) -> Solid:
-    """A hollow thing, open at the top: a wall of even thickness and a flat floor inside.
+    """A hollow vessel, open at the top, with a wall of constant thickness and a flat floor.
 
     Args:
-        outer: (N, 2) of (r, z) metres: the outside from (0, z) at the bottom, by the foot's edge, to the rim.
+        outer: (N, 2) of (r, z) metres: the outer profile from (0, z) at the bottom over the foot's edge to the rim.
         thickness: of the wall, metres.
-        section: see `Section`; its point count is a multiple of `wedges`. A circle of 4 * wedges sides when None.
-        wedges: convex parts around the wall.
-        levels: convex parts up the wall, 1 or 2; the cut is where the parts bulge least.
+        section: see `Section`; its number of points must be a multiple of `wedges`. None for a circle with 4 * wedges
+            sides.
+        wedges: number of convex parts around the wall.
+        levels: number of convex parts along the height of the wall, 1 or 2; the cut gives the smallest hulls.
         floor: thickness of the floor, metres; at least that of the wall.
     """
     p = np.asarray(outer, dtype=np.float64)
@@ -89,14 +93,14 @@ def _rings(profile: Float64Array, section: Section | None) -> Float64Array:
 
 
 def _thinned(rings: Float64Array) -> Float64Array:
-    """Fewer points around, for the physics: at most `_HULL_SIDES` where the count divides, all of them elsewhere."""
+    """Reduce the points per ring for the physics: to `_HULL_SIDES` or 24 where they divide the number of points."""
     sides = rings.shape[-2]
     keep = sides // _HULL_SIDES if sides % _HULL_SIDES == 0 else max(sides // 24, 1) if sides % 24 == 0 else 1
     return rings[..., :: max(keep, 1), :]
 
 
 def _convex_runs(profile: Float64Array) -> list[slice]:
-    """Cut a profile r(z) into runs that are convex solids to within `_HULL_ERROR`; neighbours share a ring."""
+    """Cut a profile r(z) into runs whose solids are convex up to `_HULL_ERROR`; neighbours share a ring."""
     runs, start = [], 0
     last = len(profile) - 1
     while start < last:
@@ -104,7 +108,7 @@ def _convex_runs(profile: Float64Array) -> list[slice]:
         stop = start
         while stop < last:
             trial = [*hull, stop + 1]
-            while len(trial) > 2 and _turn(profile[trial[-3:]]) >= 0:  # keep the outermost points only
+            while len(trial) > 2 and _convexity(profile[trial[-3:]]) >= 0:  # keep only the outermost points
                 del trial[-2]
             span = profile[start : stop + 2]
             order = np.argsort(profile[trial, 1], kind="stable")
@@ -117,29 +121,29 @@ def _convex_runs(profile: Float64Array) -> list[slice]:
     return [run for run in runs if np.ptp(profile[run, 1]) > 1e-9] or [slice(0, last + 1)]
 
 
-def _few(profile: Float64Array, run: slice) -> list[int]:
-    """Indices of a run that keep its shape to half a millimetre (Douglas and Peucker 1973): smaller hulls."""
+def _simplified(profile: Float64Array, run: slice) -> list[int]:
+    """Indices of a run that preserve its shape up to `_PROFILE_ERROR` (Douglas and Peucker 1973)."""
     todo, keep = [(run.start, run.stop - 1)], {run.start, run.stop - 1}
     while todo:
         first, last = todo.pop()
         chord = profile[last] - profile[first]
         inner = profile[first + 1 : last] - profile[first]
         away = np.abs(inner[:, 0] * chord[1] - inner[:, 1] * chord[0]) / max(float(np.hypot(*chord)), 1e-12)
-        if len(away) and away.max() > 0.0005:
+        if len(away) and away.max() > _PROFILE_ERROR:
             middle = first + 1 + int(away.argmax())
             keep.add(middle)
             todo += [(first, middle), (middle, last)]
     return sorted(keep)
 
 
-def _turn(p: Float64Array) -> float:
-    """Positive where three points of (r, z), going up, leave the middle one inside their hull."""
+def _convexity(p: Float64Array) -> float:
+    """At least 0 if the middle of three points (r, z) with increasing z is inside their solid's hull."""
     (r0, z0), (r1, z1), (r2, z2) = p
     return float((r2 - r0) * (z1 - z0) - (r1 - r0) * (z2 - z0))
 
 
 def _wall_runs(outer: Float64Array, inner: Float64Array, levels: int) -> list[tuple[int, int]]:
-    """Index ranges (both ends included) of the wall's levels, cut so that their hulls add the least area."""
+    """Index ranges, ends included, of the wall's levels, cut so that the total area of their hulls is minimal."""
     last = len(outer) - 1
     if levels == 1 or last < 2:
         return [(0, last)]
