@@ -1,8 +1,8 @@
-"""The fused correlation and weighted max-pool beside the formulas as written: `python benchmarks/correlation.py`.
+"""The fused correlation and weighted max-pool against the formulas as written: `python benchmarks/correlation.py`.
 
-Prints milliseconds, peak memory above the inputs, and the ratios naive / fused: forward as in inference, and forward
-with backward as in training. Every form runs in a process of its own, so that its peak memory is its own, and both
-must give the same numbers, or the script fails.
+Prints milliseconds, peak memory above the inputs, and the ratios naive / fused, for the forward pass as in inference
+and for forward and backward passes as in training. Every form runs in a separate process, so that peak memories are
+comparable. The script fails if the two forms differ in their results.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from objectflow.networks.sceneflownet import correlation
 
 @dataclasses.dataclass
 class Settings:
-    """Times the correlation at the network's sizes."""
+    """Measures the correlation at the network's sizes."""
 
     batches: tuple[int, ...] = (1, 2)
-    """Pairs at once. The naive form takes 1.6 GB for each."""
+    """Batch sizes. The naive form takes 1.6 GB per pair."""
     height: int = 30
-    """Cells: 30 x 40 is 240x320 at stride 8."""
+    """Height in cells; 30 x 40 is 240x320 at stride 8."""
     width: int = 40
-    """Cells."""
+    """Width in cells."""
     color_channels: int = 256
-    """Of the features that are correlated."""
+    """Channels of the correlated features."""
     shape_channels: int = 64
-    """Of the features that are pooled."""
+    """Channels of the pooled features."""
     reach: int = 10
-    """L of the paper."""
+    """L of the paper, in cells."""
     repeats: int = 5
-    """Runs; the median counts."""
+    """Number of runs, of which the median is reported."""
     threads: int = 1
-    """Of torch on the CPU."""
+    """Threads of torch on the CPU."""
 
 
 def run(form: str, features: list[Tensor], reach: int) -> Tensor:
@@ -64,7 +64,7 @@ def measure(
     ]
     features[2] = features[2].relu()
     upstream = torch.randn(features[2].shape, generator=generator).to(device)
-    # A small run first: what torch loads once is not the form's.
+    # A small run first loads what torch initialises once.
     with torch.set_grad_enabled(backward):
         warm = run(form, [x[..., :4, :4].clone().requires_grad_(backward) for x in features], 1)
         if backward:
@@ -96,7 +96,7 @@ def measure(
 
 
 def _signs(x: Tensor) -> Tensor:
-    """One random sign a number: a sum with them differs where any number does."""
+    """A random sign per number, so that a signed sum differs if any number differs."""
     bits = torch.randint(2, (x.numel(),), generator=torch.Generator().manual_seed(1))
     return (2.0 * bits - 1).double().to(x.device)
 
@@ -118,7 +118,7 @@ def main(settings: Settings) -> None:
                     process.start()
                     process.join()
                     if process.exitcode:
-                        sys.exit(f"{form}, batch {batch}: ended with {process.exitcode}; was there memory enough?")
+                        sys.exit(f"{form}, batch {batch}: exit code {process.exitcode}; possibly out of memory")
                     found[form] = queue.get()
                 (fused_ms, fused_mb, check, scale), (naive_ms, naive_mb, other, _) = found["fused"], found["naive"]
                 different |= abs(check - other) > 1e-4 * scale
@@ -127,7 +127,7 @@ def main(settings: Settings) -> None:
                 table.add_row(device, str(batch), "both" if backward else "forward", *figures, *memory)
     Console(width=100).print(table)
     if different:
-        sys.exit("the two forms differ by more than float32 rounding explains")
+        sys.exit("the two forms differ by more than float32 rounding")
 
 
 if __name__ == "__main__":

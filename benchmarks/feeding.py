@@ -1,6 +1,6 @@
-"""What a training pair costs before and after the network: `python benchmarks/feeding.py --data DIR`.
+"""CPU time per training pair outside the network: `python benchmarks/feeding.py --data DIR`.
 
-CPU milliseconds of one core a pair, of each step from the stored row to the loss, and of a narrow network for scale.
+CPU milliseconds of one core per pair for each step from the stored row to the loss, and for a narrow network as scale.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ T = TypeVar("T")
 
 @dataclasses.dataclass
 class Settings:
-    """Times reading, augmentation, targets and losses."""
+    """Measures reading, augmentation, targets and losses."""
 
     data: Path
-    """Folder of pairs; 64 are enough."""
+    """Folder of a data set; 64 pairs are enough."""
     split: str = "train"
-    """Which of them."""
+    """Split of the data set."""
     sizes: tuple[tuple[int, int], ...] = ((120, 160), (240, 320))
-    """Heights and widths."""
+    """Heights and widths of images."""
     batch_size: int = 8
-    """Pairs a step."""
+    """Pairs per step."""
     steps: int = 6
-    """Steps that are timed, after one that is not."""
+    """Number of steps to measure, after one for warm-up."""
     width: float = 0.25
-    """Of the network, relative to the paper's."""
+    """Widths of the network relative to the paper's."""
 
 
 def main(settings: Settings) -> None:
     torch.set_num_threads(1)
-    table = Table(title=f"CPU ms a pair, one core, batches of {settings.batch_size}, torch {torch.__version__}")
+    table = Table(title=f"CPU ms per pair, one core, batches of {settings.batch_size}, torch {torch.__version__}")
     table.add_column("step")
     columns = [measure(size, settings) for size in settings.sizes]
     for height, width in settings.sizes:
@@ -77,7 +77,7 @@ def measure(size: tuple[int, int], settings: Settings) -> dict[str, float]:
         next(kept)
     for step in range(settings.steps + 1):
         clock("read and decode, first time", lambda: next(fresh))
-        batch = clock("read, kept", lambda: next(kept))
+        batch = clock("read, cached", lambda: next(kept))
         batch = clock("augment", lambda batch=batch: augment(batch, options, generator))
         inputs = clock("sensor noise, points", lambda batch=batch: network_inputs(batch, options, generator))
         points = inputs.exact_points

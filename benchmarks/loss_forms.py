@@ -1,9 +1,8 @@
-"""Which form of the losses, and of telling of missing depth, learns better: `benchmarks/loss_forms.py --data DIR`.
+"""Comparison of the two forms of the losses: `python benchmarks/loss_forms.py --data DIR`.
 
-Short runs of the recipe `cpu` that differ in one thing: the pixel-wise differences as L2-norms or squared (the paper's
-text says the one, its code does the other), and missing depth as a validity channel or left out by masked
-convolutions. Each starts from the same random weights and sees the same pairs, with the same sensor noise, which is
-what makes depth missing; so does the validation. Prints a table in Markdown, one line a run.
+Short runs of the recipe `cpu` that differ only in the pixel-wise errors: L2 norms, as in the paper's text, or squared,
+as in the authors' code. All runs start from the same random weights and use the same pairs with the same sensor noise,
+which also makes depth missing; the validation has sensor noise too. Prints a table in Markdown, one line per run.
 """
 
 from __future__ import annotations
@@ -13,34 +12,30 @@ import itertools
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
 
 import torch
 import tyro
 from rich.console import Console
+from torch import nn
 from torch.nn.utils import clip_grad_norm_
 
 from objectflow.dataset.augment import AugmentSettings, Inputs, network_inputs
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
-from objectflow.networks import SceneFlowNet, SceneFlowNetOutput, scene_flow
-from objectflow.training.adapters import losses_of
-from objectflow.training.recipe import RECIPES
-from objectflow.training.setup import build_optimizer
+from objectflow.networks import SceneFlowNetOutput, scene_flow
+from objectflow.training.parallel import Process
+from objectflow.training.recipes import RECIPES
+from objectflow.training.setup import build_adapter, build_optimizer
 from objectflow.training.step import prepare, step_generator
 
-Missing = Literal["channel", "masked"]
-FORMS: dict[str, tuple[bool, Missing]] = {
-    "L2, channel": (False, "channel"),
-    "squared, channel": (True, "channel"),
-    "L2, masked": (False, "masked"),
-}
+FORMS = {"L2": False, "squared": True}
+"""Name of each form, and its `SceneFlowNetLossSettings.squared`."""
 
 
 @dataclasses.dataclass
 class Settings:
-    """Compares forms of the losses and of missing depth by short runs."""
+    """Compares the forms of the losses by short runs."""
 
     data: Path
     """Folder of the training pairs."""
@@ -49,29 +44,29 @@ class Settings:
     steps: int = 800
     """Steps of each run."""
     batch_size: int = 8
-    """Pairs a step."""
+    """Pairs per step."""
     size: tuple[int, int] = (120, 160)
-    """Height and width."""
+    """Height and width of images."""
     learning_rate: float = 2e-3
-    """The highest, along the recipe's schedule."""
+    """Highest learning rate of the recipe's schedule."""
     val_pairs: int = 64
-    """Pairs validated on."""
+    """Number of validation pairs."""
     seeds: tuple[int, ...] = (0,)
-    """One run each, of every form."""
+    """Seeds; every form has a run with each."""
     device: str = "cpu"
-    """Where to compute."""
+    """Device to compute on."""
 
 
 @dataclasses.dataclass
 class Score:
-    """Means over the pixels of objects that both frames see: centimetres, and shares."""
+    """Means over the pixels of objects that are visible in both frames: cm, and shares 0..1."""
 
     epe: float
     zero_epe: float
     lost_epe: float
-    """Where the sensor lost the depth."""
+    """End-point error where the sensor lost the depth."""
     in_sphere: float
-    """Pixels whose trajectory lies within B of the truth's: what grouping needs."""
+    """Share of pixels whose trajectory lies within B of the true one, as the grouping needs it."""
     mask_iou: float
 
 
@@ -89,10 +84,10 @@ def main(settings: Settings) -> None:
     console.print("| form | seed | masked EPE, cm | where depth is lost, cm | within B | mask IoU | CPU s |")
     console.print("|---|---|---|---|---|---|---|")
     zero = 0.0
-    for seed, (name, (squared, missing)) in itertools.product(settings.seeds, FORMS.items()):
+    for seed, (name, squared) in itertools.product(settings.seeds, FORMS.items()):
         batches = Batches(train, settings.batch_size, size=settings.size, seed=seed)
         start = time.process_time()
-        network = learn(batches, squared, missing, seed, settings)
+        network = learn(batches, squared, seed, settings)
         seconds = time.process_time() - start
         score = validate(network, held, settings)
         zero = score.zero_epe
@@ -103,7 +98,7 @@ def main(settings: Settings) -> None:
     console.print(f"| zero flow | | {zero:.2f} | | | | |")
 
 
-def learn(batches: Batches, squared: bool, missing: Missing, seed: int, settings: Settings) -> SceneFlowNet:
+def learn(batches: Batches, squared: bool, seed: int, settings: Settings) -> nn.Module:
     cpu = RECIPES["cpu"]
     recipe = dataclasses.replace(
         cpu,
@@ -111,34 +106,32 @@ def learn(batches: Batches, squared: bool, missing: Missing, seed: int, settings
         steps=settings.steps,
         size=settings.size,
         learning_rate=settings.learning_rate,
-        network=dataclasses.replace(cpu.network, missing=missing),
-        loss=dataclasses.replace(cpu.loss, squared=squared),
+        model=dataclasses.replace(cpu.model, loss=dataclasses.replace(cpu.model.loss, squared=squared)),
         augment=dataclasses.replace(cpu.augment, depth_sensor=1.0),
     )
     device = torch.device(settings.device)
-    network = SceneFlowNet(recipe.network, generator=torch.Generator().manual_seed(seed))
-    network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = build_optimizer(recipe, network, device)
+    adapter = build_adapter(recipe, Process(0, 1, device), backbone=None, start=None)
+    optimizer = build_optimizer(recipe, adapter.network, device)
     for step, batch in enumerate(itertools.islice(batches.iterate(), settings.steps)):
         for group in optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(step / settings.steps)
         prepared = prepare(batch.to(device), recipe, step_generator(seed, step, 0, device))
-        loss = losses_of(network.predict(*prepared.images), prepared, recipe)["total"]
+        loss = adapter.losses(adapter.module(*prepared.images), prepared)["total"]
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        clip_grad_norm_(network.parameters(), recipe.clip or float("inf"))
+        clip_grad_norm_(adapter.network.parameters(), recipe.clip or float("inf"))
         optimizer.step()
-    return network
+    return adapter.network
 
 
 def observe(batch: Batch, generator: torch.Generator) -> tuple[Inputs, Targets]:
-    """Validation pairs without augmentation, but with sensor noise."""
+    """Inputs and targets of validation pairs, without augmentation but with sensor noise."""
     inputs = network_inputs(batch, AugmentSettings(depth_sensor=1), generator)
     return inputs, make_targets(batch.table, batch.curr_labels, inputs.exact_points)
 
 
 def outputs(
-    network: SceneFlowNet, held: list[Batch], settings: Settings
+    network: nn.Module, held: list[Batch], settings: Settings
 ) -> Iterator[tuple[SceneFlowNetOutput, Inputs, Targets]]:
     network.eval()
     generator = torch.Generator(settings.device).manual_seed(0)
@@ -148,7 +141,7 @@ def outputs(
             yield network(*inputs[:4]), inputs, targets
 
 
-def validate(network: SceneFlowNet, held: list[Batch], settings: Settings) -> Score:
+def validate(network: nn.Module, held: list[Batch], settings: Settings) -> Score:
     sums = torch.zeros(8, dtype=torch.float64)
     for output, inputs, targets in outputs(network, held, settings):
         flow = scene_flow(output.rotation, output.translation, output.center, inputs.exact_points)

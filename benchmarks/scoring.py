@@ -1,7 +1,7 @@
-"""Pairs a second that all metrics together score on one core: `OMP_NUM_THREADS=1 python benchmarks/scoring.py`.
+"""Pairs per second that the metrics score on one core: `OMP_NUM_THREADS=1 python benchmarks/scoring.py`.
 
-Truth: balls of known motion on a plane, every second one with symmetry axes. Predictions: the same, moved by a few
-pixels, with noise on the flow. `read` includes reading a prediction back from its compressed file, as `evaluate` does.
+The truth is discs of known motion on a plane, every second one with symmetry axes. Predictions are the truth, shifted
+by a few pixels and with noise on the flow. `with read` includes reading them from compressed files, as in `evaluate`.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from objectflow.evaluation.score import score
 
 @dataclasses.dataclass
 class Settings:
-    """Times the metrics."""
+    """Measures the metrics."""
 
     width: int = 320
     """Image width; the height is three quarters of it."""
     objects: tuple[int, ...] = (2, 6, 12, 24)
-    """Objects in a pair, one row each."""
+    """Numbers of objects per pair, one row each."""
     pairs: int = 20
-    """Different pairs for each row."""
+    """Number of pairs per row."""
     repeats: int = 3
-    """The fastest counts."""
+    """Number of runs, of which the fastest is reported."""
 
 
 def make_pair(width: int, objects: int, rng: np.random.Generator) -> tuple[SceneMotion, PairTruth]:
-    """A truth, and a prediction that is a few pixels and centimetres off."""
+    """A prediction with errors of a few pixels and centimetres, and the truth."""
     height = width * 3 // 4
     camera = Camera(width=width, height=height, fx=0.9 * width, fy=0.9 * width, cx=width / 2, cy=height / 2)
     rows, columns = np.mgrid[:height, :width]
@@ -75,7 +75,7 @@ def make_pair(width: int, objects: int, rng: np.random.Generator) -> tuple[Scene
 
 
 def best(run: Callable[[], object], repeats: int) -> float:
-    """CPU seconds, so that other work on the machine counts little."""
+    """CPU seconds of the fastest run, which other processes hardly affect."""
     seconds = []
     for _ in range(repeats):
         start = time.process_time()
@@ -124,7 +124,7 @@ def main(settings: Settings) -> None:
 
 
 def whole_pass(repeats: int) -> float:
-    """Pairs a second of `evaluate`'s second pass on the packaged set: truth read from its shard, summaries as well."""
+    """Pairs per second of the second pass of `evaluate` on the packaged set, including truth and summaries."""
     pairs, methods = open_set("tiny"), parse_methods(["dense-flow"])
     with tempfile.TemporaryDirectory() as folder:
         predict(pairs, pairs.keys, methods, Path(folder))

@@ -1,4 +1,4 @@
-"""Drive a headless Chromium over its DevTools protocol: open a page, run scripts in it, press keys, take pictures."""
+"""Control a headless Chromium over the DevTools protocol: open pages, run scripts, send input, take screenshots."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
-SECONDS = 180.0
-"""Before a page or an answer that does not come is given up."""
+TIMEOUT = 180.0
+"""Longest wait for a page or an answer, seconds."""
 
 
 def find_chromium() -> str | None:
-    """Where Chromium or Chrome is, if it is installed; `CHROMIUM` in the environment says it outright."""
+    """Path of Chromium or Chrome, if installed; the environment variable `CHROMIUM` overrides the search."""
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
     return os.environ.get("CHROMIUM") or next((path for name in names if (path := shutil.which(name))), None)
 
 
 class Page:
-    """One tab; `errors` collects what its console and scripts complain of, `requests` what it asks for."""
+    """One tab; `errors` collects errors and warnings of its console and scripts, `requests` the requested URLs."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
@@ -42,14 +42,14 @@ class Page:
         self._number += 1
         self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=SECONDS))
+            message = json.loads(self._socket.recv(timeout=TIMEOUT))
             if message.get("id") == self._number:
                 if "error" in message:
                     raise RuntimeError(f"{method}: {message['error']['message']}")
                 return dict(message["result"])
-            self._note(message)
+            self._record(message)
 
-    def _note(self, message: dict[str, Any]) -> None:
+    def _record(self, message: dict[str, Any]) -> None:
         event, values = message.get("method"), message.get("params", {})
         if event == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(values["exceptionDetails"])[:500])
@@ -61,7 +61,7 @@ class Page:
             self.requests.append(values["request"]["url"])
 
     def run(self, script: str) -> Any:
-        """The value of a JavaScript expression; promises are awaited."""
+        """Evaluate a JavaScript expression and return its value; promises are awaited."""
         result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
         if "exceptionDetails" in result:
             raise RuntimeError(json.dumps(result["exceptionDetails"])[:800])
@@ -69,28 +69,28 @@ class Page:
 
     def wait(self, condition: str) -> None:
         """Wait until an expression is true."""
-        end = time.monotonic() + SECONDS
+        end = time.monotonic() + TIMEOUT
         while not self.run(f"Boolean({condition})"):
             if time.monotonic() > end:
-                raise TimeoutError(f"never true: {condition}; errors of the page: {self.errors}")
+                raise TimeoutError(f"condition not met: {condition}; errors of the page: {self.errors}")
             time.sleep(0.05)
 
     def open(self, path: Path, *, fragment: str = "") -> None:
-        """Load a file and wait for it."""
+        """Load a report file and wait until it is complete."""
         self.call("Page.navigate", url=path.resolve().as_uri() + fragment)
         self.wait("document.readyState === 'complete' && document.querySelector('#cards')")
 
     def size(self, width: int, height: int) -> None:
-        """Of the window's inside."""
+        """Set the size of the viewport, pixels."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def dark(self, on: bool) -> None:
-        """What the system is said to prefer."""
+        """Set the emulated colour scheme of the system."""
         value = "dark" if on else "light"
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": value}])
 
     def click(self, selector: str) -> None:
-        """Press the mouse in the middle of an element."""
+        """Click at the centre of an element."""
         box = self.run(
             f"(() => {{ const node = document.querySelector({json.dumps(selector)});"
             " node.scrollIntoView({block: 'center'});"
@@ -100,7 +100,7 @@ class Page:
             self.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="left", clickCount=1)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        """Drag with the left button, in the window's pixels."""
+        """Drag with the left button, in pixels of the viewport."""
         x, y = start
         self.call("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", buttons=1, clickCount=1)
         x, y = end
@@ -108,14 +108,14 @@ class Page:
         self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
 
     def press(self, key: str, code: int = 0) -> None:
-        """Press and release a key; printable ones are typed."""
+        """Press and release a key; printable keys are typed."""
         text = {"text": key} if len(key) == 1 else {}
         common = {"key": key, "windowsVirtualKeyCode": code or ord(key[0].upper())}
         self.call("Input.dispatchKeyEvent", type="keyDown", **common, **text)
         self.call("Input.dispatchKeyEvent", type="keyUp", **common)
 
     def picture(self, path: Path | None = None, *, quality: int | None = None) -> bytes:
-        """A screenshot as PNG, or JPEG where a quality is given; written to `path` too."""
+        """Take a screenshot as PNG, or as JPEG if a quality is given; also written to `path` if given."""
         kind = {"format": "png"} if quality is None else {"format": "jpeg", "quality": quality}
         data = base64.b64decode(self.call("Page.captureScreenshot", **kind)["data"])
         if path is not None:
@@ -125,7 +125,7 @@ class Page:
 
 @contextmanager
 def chromium(program: str, folder: Path) -> Iterator[Page]:
-    """Start Chromium with software WebGL and its profile in `folder`; stop it at the end."""
+    """Run Chromium with software WebGL and its profile in `folder`."""
     command = [
         program,
         "--headless=new",
@@ -143,8 +143,8 @@ def chromium(program: str, folder: Path) -> Iterator[Page]:
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         port = _port(folder / "DevToolsActivePort", process)
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=SECONDS) as answer:
-            target = next(one for one in json.load(answer) if one["type"] == "page")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=TIMEOUT) as answer:
+            target = next(entry for entry in json.load(answer) if entry["type"] == "page")
         with connect(target["webSocketDebuggerUrl"], max_size=None) as socket:
             yield Page(socket)
     finally:
@@ -157,7 +157,7 @@ def chromium(program: str, folder: Path) -> Iterator[Page]:
 
 
 def _port(file: Path, process: subprocess.Popen[bytes]) -> int:
-    end = time.monotonic() + SECONDS
+    end = time.monotonic() + TIMEOUT
     while time.monotonic() < end and process.poll() is None:
         lines = file.read_text().splitlines() if file.exists() else []
         if lines:

@@ -1,4 +1,7 @@
-"""Runs' curves in one picture: `python scripts/compare_runs.py OUT runs/s runs/c`; each run is named by its folder."""
+"""Curves of several training runs in one picture: `python scripts/compare_runs.py OUT runs/s runs/c`.
+
+Each run is named after its folder.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +22,18 @@ COLORS = ((31, 90, 180), (200, 50, 40), (30, 140, 80), (150, 80, 170), (210, 140
 
 @dataclasses.dataclass
 class Settings:
-    """Draws loss, end point error and extracted objects of several runs over their steps."""
+    """Draws loss, end-point error and extracted objects of several runs over their steps."""
 
     out: Positional[Path]
     """Picture to write."""
     runs: Positional[tuple[Path, ...]]
     """Folders of `objectflow train`."""
     term: str = "total"
-    """Of the training loss."""
+    """Term of the training loss."""
 
 
 def main(settings: Settings) -> None:
-    """Read, draw, lay side by side."""
+    """Read the runs and draw their curves side by side."""
     loss, error, extracted = [], [], []
     for run, color in zip(settings.runs, itertools.cycle(COLORS), strict=False):
         lines = read_metrics(run)
@@ -41,8 +44,8 @@ def main(settings: Settings) -> None:
         extracted.append(Series(run.name, color, points_of(validation, "extracted_share")))
     panels = [
         panel(loss, f"training loss: {settings.term}", logarithmic=True),
-        panel(error, "masked end point error, cm"),
-        panel(extracted, "extracted objects, share"),
+        panel(error, "masked end-point error, cm"),
+        panel(extracted, "share of extracted objects"),
     ]
     cv2.imwrite(str(settings.out), np.concatenate(panels, axis=1)[..., ::-1])
 

@@ -1,6 +1,6 @@
-"""What the things of the demo are painted with: linear RGB (N, 3) and gloss (N,) at points (N, 3) of their surface.
+"""Textures of the demo's objects: linear RGB (N, 3) and gloss (N,) at surface points (N, 3).
 
-Points `p` and outward normals `n` are in the object's frame; `size` is as in `render_demo.Thing`.
+Points `p` and outward normals `n` are in the object frame; `size` is as in `render_demo.DemoObject`.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ def noise(x: Array, y: Array, octaves: int = 4) -> Array:
     """Smooth noise in 0..1 with period 256."""
     total, weight = np.zeros_like(x), 0.0
     for octave in range(octaves):
-        at = np.stack([x * 2**octave + 17 * octave, y * 2**octave + 31 * octave])
-        total += ndimage.map_coordinates(_NOISE, at, order=1, mode="grid-wrap") * 0.5**octave
+        coordinates = np.stack([x * 2**octave + 17 * octave, y * 2**octave + 31 * octave])
+        total += ndimage.map_coordinates(_NOISE, coordinates, order=1, mode="grid-wrap") * 0.5**octave
         weight += 0.5**octave
     return total / weight
 
 
 def rgb(code: str) -> Array:
-    """A hex colour in linear light."""
+    """Convert a hex colour to linear RGB."""
     return (np.array([int(code[i : i + 2], 16) for i in (0, 2, 4)]) / 255) ** 2.2
 
 
 def mix(base: Array, color: Array, share: Array) -> Array:
-    """Colours (N, 3) painted over by a share (N,) of another."""
+    """Blend colours (N, 3) with another by a share (N,)."""
     return base + (color - base) * np.asarray(share, dtype=float)[:, None]
 
 
 def wood(xy: Array) -> Array:
-    """Planks with grain, along x."""
+    """Planks with wood grain along x."""
     x, y = xy[:, 0], xy[:, 1] + 0.03
     plank = np.floor(y / 0.13)
     x = x + plank * 1.37
@@ -50,7 +50,7 @@ def wood(xy: Array) -> Array:
 
 
 def _faces(points: Array, normal: Array, size: Array) -> tuple[Array, Array, Array]:
-    """Metres right and up on whichever side of a box is looked at, and the side's index 0..5."""
+    """Coordinates right and up on the face of a box in metres, and the index of the face, 0..5."""
     axis = np.abs(normal).argmax(-1)
     sign = np.sign(normal[np.arange(len(normal)), axis])
     right = np.where(axis == 0, points[:, 1] * sign, np.where(axis == 1, -points[:, 0] * sign, points[:, 0]))
@@ -59,7 +59,7 @@ def _faces(points: Array, normal: Array, size: Array) -> tuple[Array, Array, Arr
 
 
 def _letters(right: Array, up: Array, left: float, base: float, height: float, seed: int, count: int) -> Array:
-    """Marks that read as a line of print: blocks of random strokes in a 3x5 grid."""
+    """Whether points lie on a line of pseudo-text: random 3x5 glyphs."""
     glyphs = np.random.default_rng(seed).uniform(size=(count, 5, 3)) > 0.42
     glyphs[:, :, 0] |= True
     width = 0.62 * height

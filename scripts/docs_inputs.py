@@ -1,10 +1,10 @@
-"""Make what the pages' printed outputs are made of: the demo pair made wrong on purpose, and a sequence.
+"""Write the inputs of the documented commands: faulty copies of the demo pair, and a sequence.
 
-    python scripts/docs_inputs.py FOLDER           # a few minutes: frames of the sequence are ray-cast
+    python scripts/docs_inputs.py FOLDER           # a few minutes, since the sequence is ray-cast
     python scripts/docs_outputs.py FOLDER          # then runs the commands of docs/*.md there
 
-Pairs, each with one fault: see `faults`. `recording` is a TUM folder of five frames of the demo's scene, half a second
-apart, in which the same three things move on. Nothing is random but noise of a fixed seed.
+Each pair has one fault, see `faults`. `recording` is a TUM folder with five frames of the demo's scene at 2 Hz, in
+which the same three objects continue their motion. The noise has a fixed seed.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ import render_demo
 
 DEMO = Path(__file__).resolve().parents[1] / "src" / "objectflow" / "demo" / "pair"
 STEPS = (0.0, 0.5, 1.0, 1.5, 2.0)
-"""Of the sequence: 0 is the demo's previous frame, 1 its current one."""
+"""Times of the sequence's frames; 0 is the demo's previous frame and 1 its current frame."""
 SECONDS = 0.5
+"""Time between two frames of the sequence, seconds."""
 LAG = 0.3
-"""Of the time between the frames: depth is so much older than colour."""
+"""Lag of depth behind colour, as a share of the time between the frames."""
 GAP = 0.02
-"""Of the time between the frames: nothing moves by more than a millimetre."""
+"""Share of the time between the frames in which all displacements are below 1 mm."""
 EYE = render_demo.look_at(render_demo.EYE, render_demo.TARGET)
 
 Array = NDArray[Any]
@@ -38,7 +39,7 @@ Array = NDArray[Any]
 
 @dataclasses.dataclass
 class Pair:
-    """A pair folder in memory; colours as OpenCV has them, depth in units."""
+    """A pair folder in memory: colours in BGR, depth in integer units."""
 
     color: list[Array]
     depth: list[Array]
@@ -46,13 +47,13 @@ class Pair:
 
     @classmethod
     def read(cls) -> Pair:
-        """The demo pair."""
+        """Read the demo pair."""
         color = [cv2.imread(str(DEMO / f"color{i}.jpg")) for i in (0, 1)]
         depth = [cv2.imread(str(DEMO / f"depth{i}.png"), cv2.IMREAD_UNCHANGED) for i in (0, 1)]
         return cls(color, depth, json.loads((DEMO / "camera.json").read_text()))
 
     def write(self, folder: Path) -> None:
-        """As a pair folder."""
+        """Write the pair folder."""
         folder.mkdir(parents=True)
         for i in (0, 1):
             cv2.imwrite(str(folder / f"color{i}.jpg"), self.color[i], [cv2.IMWRITE_JPEG_QUALITY, 95])
@@ -61,27 +62,27 @@ class Pair:
 
 
 def tenths_of_a_millimetre(pair: Pair) -> None:
-    """Depth was written in tenths of a millimetre, and the camera file says millimetres."""
+    """Depth in tenths of a millimetre, while the camera file states millimetres."""
     pair.depth = [10 * depth for depth in pair.depth]
 
 
 def forgotten_scale(pair: Pair) -> None:
-    """The camera file takes millimetres for metres."""
+    """A camera file that states metres for depth in millimetres."""
     pair.camera["depth_scale"] = 1
 
 
 def other_resolution(pair: Pair) -> None:
-    """The intrinsics of the same camera at 320x240."""
+    """Intrinsics of the same camera at 320x240."""
     pair.camera |= {name: pair.camera[name] / 2 for name in ("fx", "fy", "cx", "cy")}
 
 
 def unregistered(pair: Pair) -> None:
-    """Depth as its own lens sees it: 14 pixels beside colour."""
+    """Depth of the unaligned depth sensor, shifted by 14 pixels relative to colour."""
     pair.depth = [np.roll(depth, -14, axis=1) for depth in pair.depth]
 
 
 def ray_length(pair: Pair) -> None:
-    """Distance from the lens in place of planar z."""
+    """Ray length instead of planar z."""
     v, u = np.mgrid[: pair.camera["height"], : pair.camera["width"]]
     x = (u - pair.camera["cx"]) / pair.camera["fx"]
     y = (v - pair.camera["cy"]) / pair.camera["fy"]
@@ -90,7 +91,7 @@ def ray_length(pair: Pair) -> None:
 
 
 def holes(pair: Pair) -> None:
-    """Nothing measured on smooth patches, as on dark and shiny things."""
+    """Missing depth in patches, as on dark and shiny surfaces."""
     rng = np.random.default_rng(0)
     for depth in pair.depth:
         blobs = cv2.GaussianBlur(rng.normal(size=depth.shape), (0, 0), 12)
@@ -98,40 +99,40 @@ def holes(pair: Pair) -> None:
 
 
 def picture_of_depth(pair: Pair) -> None:
-    """Depth that was saved as an 8-bit picture and scaled up again."""
+    """Depth that was saved as an 8-bit image and scaled up again."""
     top = max(int(depth.max()) for depth in pair.depth) / 63
     pair.depth = [np.rint(np.rint(depth / top) * top).astype(np.uint16) for depth in pair.depth]
 
 
 def exposure(pair: Pair) -> None:
-    """The camera opened up between the frames."""
+    """An exposure that increased between the frames."""
     pair.color[1] = np.clip(pair.color[1].astype(float) * 1.5, 0, 255).astype(np.uint8)
 
 
 def swapped(pair: Pair) -> None:
-    """The two depth images changed places."""
+    """Swapped depth images."""
     pair.depth.reverse()
 
 
 def same_twice(pair: Pair) -> None:
-    """A driver that gave out one depth image twice."""
+    """The same depth image twice, as from a stalled driver."""
     pair.depth[1] = pair.depth[0]
 
 
 def lag(pair: Pair) -> None:
-    """Depth that comes later than colour."""
+    """Depth that lags behind colour."""
     for i in (0, 1):
-        true = render_demo.cast(render_demo.EYE, render_demo._rays(0.0, 0.0) @ EYE[:3, :3].T, poses(i - LAG))[0]
+        true = render_demo.cast(render_demo.EYE, render_demo.pixel_rays(0.0, 0.0) @ EYE[:3, :3].T, poses(i - LAG))[0]
         pair.depth[i] = render_demo.measure(true.reshape(pair.depth[i].shape), np.random.default_rng(i))
 
 
 def too_soon(pair: Pair) -> None:
-    """Two frames of a fast camera, one after the other."""
+    """Two consecutive frames of a fast camera."""
     pair.color[1], pair.depth[1] = frame(GAP, np.random.default_rng(2))
 
 
 def moving_camera(pair: Pair) -> None:
-    """The camera was carried on: the current frame is seen from 3 cm further right, and nothing else moved."""
+    """A camera that moved 3 cm to the right in a static scene."""
     pair.color[1], pair.depth[1] = frame(0.0, np.random.default_rng(3), aside=0.03)
 
 
@@ -153,19 +154,19 @@ faults: dict[str, Callable[[Pair], None]] = {
 
 
 def poses(time: float) -> list[Array]:
-    """world_T_object of the demo's things; 0 is its previous frame, 1 its current one, the motion goes on beyond."""
+    """world_T_object of the demo's objects at a time: 0 = previous frame, 1 = current frame, extrapolated beyond."""
     out = []
-    for thing in render_demo.THINGS:
-        left = 1 - time
-        moved = (left * thing.moved[0], left * thing.moved[1])
-        part = dataclasses.replace(thing, moved=moved, turned=left * thing.turned)
-        # A ball that has no way left to go has no axis either.
-        out.append(part.pose(current=thing.rolled and left == 0))
+    for obj in render_demo.OBJECTS:
+        remaining = 1 - time
+        displacement = (remaining * obj.displacement[0], remaining * obj.displacement[1])
+        partial = dataclasses.replace(obj, displacement=displacement, rotation_deg=remaining * obj.rotation_deg)
+        # The rolling axis is undefined for a displacement of 0.
+        out.append(partial.pose(current=obj.rolls and remaining == 0))
     return out
 
 
 def frame(time: float, rng: np.random.Generator, *, aside: float = 0.0) -> tuple[Array, Array]:
-    """Colour (BGR) and measured depth of a moment, from the demo's camera or one shifted to its right by metres."""
+    """Colour (BGR) and measured depth at a time, from the demo's camera shifted to the right by `aside` metres."""
     world_T_camera = EYE.copy()
     origin = render_demo.EYE
     try:
@@ -178,12 +179,12 @@ def frame(time: float, rng: np.random.Generator, *, aside: float = 0.0) -> tuple
 
 
 def write_recording(folder: Path) -> None:
-    """The sequence as a TUM folder: rgb.txt, depth.txt, 5000 units a metre, and camera.json."""
+    """Write the sequence as a TUM folder: rgb.txt, depth.txt, 5000 units per metre, and camera.json."""
     lists: dict[str, list[str]] = {"rgb": [], "depth": []}
     for index, time in enumerate(STEPS):
         color, depth = frame(time, np.random.default_rng(10 + index))
         for kind, image, offset in (("rgb", color, 0.0), ("depth", depth * 5, 0.012)):
-            stamp = f"{100 + SECONDS * index + offset:.6f}"  # depth comes a little later, as a real camera's does
+            stamp = f"{100 + SECONDS * index + offset:.6f}"  # Depth is slightly later, as for real cameras.
             (folder / kind).mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(folder / kind / f"{stamp}.png"), image)
             lists[kind].append(f"{stamp} {kind}/{stamp}.png")
@@ -194,17 +195,17 @@ def write_recording(folder: Path) -> None:
 
 
 def main() -> None:
-    """Write everything into a new folder."""
+    """Write all inputs into a folder."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", nargs="*", help="names of faults, and recording")
+    parser.add_argument("--only", nargs="*", help="names of faults, or recording")
     arguments = parser.parse_args()
     folder: Path = arguments.folder
     shutil.copytree(DEMO, folder / "good", dirs_exist_ok=True)
-    for name, spoil in faults.items():
+    for name, apply_fault in faults.items():
         if arguments.only is None or name in arguments.only:
             pair = Pair.read()
-            spoil(pair)
+            apply_fault(pair)
             pair.write(folder / name)
     if arguments.only is None or "recording" in arguments.only:
         write_recording(folder / "recording")

@@ -1,10 +1,10 @@
-"""Run the commands that pages show with their output, and write what they print into the pages.
+"""Run the commands that the documentation shows with their output, and update the output in the pages.
 
-    python scripts/docs_inputs.py FOLDER           # once: what the commands work on
+    python scripts/docs_inputs.py FOLDER           # once: the inputs of the commands
     python scripts/docs_outputs.py FOLDER
 
-A block of a page that starts with `$ ` is run line by line in FOLDER. With `# all but what is fine` after it, a table
-of `check-pair` is shown without its rows of that level.
+Blocks that start with `$ ` are run line by line in FOLDER. A command followed by `# all but what is fine` shows the
+table of `check-pair` without the rows of that level.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ BLOCK = re.compile(r"(?<=^```text\n)(\$ .*?)(?=^```$)", flags=re.DOTALL | re.MUL
 SHORT = "# all but what is fine"
 COLUMNS = "88"
 NOT_FOUND = 127
-"""What a shell returns for a command that it cannot find."""
+"""Exit status of a shell for a missing command."""
 
 
 def main() -> None:
-    """Refresh every page, or those that are named."""
+    """Refresh all pages, or the given ones."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("pages", nargs="*", type=Path)
@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def refresh(block: str, folder: Path) -> str:
-    """The block with what its commands print now."""
+    """Replace the output of a block's commands by their current output."""
     lines = []
     for line in commands(block):
         lines.append(f"$ {line}")
@@ -47,24 +47,24 @@ def refresh(block: str, folder: Path) -> str:
 
 
 def commands(block: str) -> list[str]:
-    """The lines of a block that are typed."""
+    """The commands of a block."""
     return [line[2:] for line in block.splitlines() if line.startswith("$ ")]
 
 
 def output(line: str, folder: Path) -> list[str]:
-    """What a command prints, line by line, without blanks at the ends."""
+    """The output of a command as lines without trailing blanks."""
     environment = os.environ | {"COLUMNS": COLUMNS}
     pipe, both = subprocess.PIPE, subprocess.STDOUT
-    # Commands that fail are shown as they fail.
+    # Some pages show the output of failing commands.
     done = subprocess.run(["bash", "-c", line], check=False, cwd=folder, env=environment, stdout=pipe, stderr=both)
     if done.returncode == NOT_FOUND:
-        raise SystemExit(f"{line!r} cannot be run: activate the environment that objectflow is installed in")
-    lines = [one.rstrip() for one in done.stdout.decode().strip("\n").splitlines()]
+        raise SystemExit(f"{line!r} cannot be run: activate the environment in which objectflow is installed")
+    lines = [printed.rstrip() for printed in done.stdout.decode().strip("\n").splitlines()]
     return without_fine(lines) if line.endswith(SHORT) else lines
 
 
 def without_fine(lines: list[str]) -> list[str]:
-    """A table without its head and without rows of the level `fine`; what is no table stays."""
+    """Remove the head of a table and its rows of level `fine`; lines outside the table are kept."""
     kept, keeping = [], True
     for line in lines:
         if "┃" in line or "━" in line:

@@ -1,4 +1,4 @@
-"""Draw docs/images/wrong_pairs.jpg: what `consensus` makes of the demo pair, and of the pairs made wrong on purpose.
+"""Draw docs/images/wrong_pairs.jpg: results of `consensus` on the demo pair and on its faulty copies.
 
 python scripts/docs_inputs.py FOLDER           # once
 python scripts/docs_pictures.py FOLDER
@@ -28,13 +28,13 @@ TILES = {
     "exposure": "exposure changed",
     "swapped": "depths swapped",
 }
-"""Folder and title, row by row."""
+"""Folder and title of each tile, row by row."""
 COLUMNS, WIDTH, STRIP = 3, 400, 30
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "wrong_pairs.jpg"
 
 
 def tile(folder: Path, title: str) -> UInt8Array:
-    """The overlay of one pair below its title, BGR."""
+    """The overlay of one pair with a title above it, BGR."""
     prev, curr = open_pair(folder)
     motion = of.load("consensus")(prev, curr)
     picture = draw_overlay(curr, motion)[..., ::-1]
@@ -47,7 +47,7 @@ def tile(folder: Path, title: str) -> UInt8Array:
 
 
 def main() -> None:
-    """Estimate, draw, join."""
+    """Estimate, draw, tile."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     folder: Path = parser.parse_args().folder

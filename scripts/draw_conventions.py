@@ -1,4 +1,4 @@
-"""Draw the figures of docs/conventions.md as SVG: what is drawn turned is turned by `objectflow.geometry`.
+"""Draw the figures of docs/conventions.md as SVG, with rotations computed by `objectflow.geometry`.
 
 python scripts/draw_conventions.py             # writes docs/images/*.svg
 """
@@ -22,14 +22,14 @@ Array = NDArray[Any]
 
 
 class Drawing:
-    """A white sheet with lines, shapes and words."""
+    """A white sheet with lines, shapes and text."""
 
     def __init__(self, width: int, height: int) -> None:
         self.size = (width, height)
         self.parts: list[str] = []
 
     def line(self, a: ArrayLike, b: ArrayLike, color: str, width: float = 2, dash: str = "") -> None:
-        """A straight line, dashed by lengths of dash and gap."""
+        """Draw a straight line; `dash` holds the lengths of dash and gap."""
         (x0, y0), (x1, y1) = np.asarray(a, float), np.asarray(b, float)
         dashed = f' stroke-dasharray="{dash}"' if dash else ""
         self.parts.append(
@@ -38,15 +38,15 @@ class Drawing:
         )
 
     def arrow(self, a: ArrayLike, b: ArrayLike, color: str, width: float = 2.5) -> None:
-        """A line with a head at its second end."""
+        """Draw a line with an arrow head at `b`."""
         start, tip = np.asarray(a, float), np.asarray(b, float)
-        way = (tip - start) / np.linalg.norm(tip - start)
-        side = np.array([-way[1], way[0]])
-        self.line(start, tip - 7 * way, color, width)
-        self.polygon([tip, tip - 11 * way + 5 * side, tip - 11 * way - 5 * side], color, color, 1, 1)
+        direction = (tip - start) / np.linalg.norm(tip - start)
+        side = np.array([-direction[1], direction[0]])
+        self.line(start, tip - 7 * direction, color, width)
+        self.polygon([tip, tip - 11 * direction + 5 * side, tip - 11 * direction - 5 * side], color, color, 1, 1)
 
     def polygon(self, points: ArrayLike, stroke: str, fill: str, opacity: float, width: float = 2) -> None:
-        """A closed shape."""
+        """Draw a closed polygon."""
         listed = " ".join(f"{x:.1f},{y:.1f}" for x, y in np.asarray(points, float))
         self.parts.append(
             f'<polygon points="{listed}" stroke="{stroke}" stroke-width="{width:g}" stroke-linejoin="round" '
@@ -54,19 +54,19 @@ class Drawing:
         )
 
     def dot(self, at: ArrayLike, color: str, radius: float = 4) -> None:
-        """A filled circle."""
+        """Draw a filled circle."""
         x, y = np.asarray(at, float)
         self.parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{color}"/>')
 
-    def text(self, at: ArrayLike, words: str, color: str = INK, size: int = 15, anchor: str = "start") -> None:
-        """Words on a baseline."""
+    def text(self, at: ArrayLike, text: str, color: str = INK, size: int = 15, anchor: str = "start") -> None:
+        """Draw a line of text at its baseline."""
         x, y = np.asarray(at, float)
         self.parts.append(
-            f'<text x="{x:.1f}" y="{y:.1f}" fill="{color}" font-size="{size}" text-anchor="{anchor}">{words}</text>'
+            f'<text x="{x:.1f}" y="{y:.1f}" fill="{color}" font-size="{size}" text-anchor="{anchor}">{text}</text>'
         )
 
     def write(self, name: str) -> None:
-        """The sheet as a file of docs/images."""
+        """Write the sheet to docs/images."""
         w, h = self.size
         head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {w} {h}" width="{w}" height="{h}" '
@@ -77,7 +77,7 @@ class Drawing:
 
 
 def camera_frame() -> None:
-    """Axes, image, a point, its planar depth and the ray's length."""
+    """Draw the axes, the image, a point, its planar depth and its ray length."""
     d = Drawing(760, 330)
     eye, middle, right, down = (
         np.array([90.0, 170]),
@@ -96,7 +96,7 @@ def camera_frame() -> None:
     d.text(eye + 1.5 * right + [-62, -4], "x right", RED)
     d.arrow(eye, eye + 1.15 * down, GREEN)
     d.text(eye + 1.15 * down + [-14, 20], "y down", GREEN)
-    # The first pixel, and where the image's axes go.
+    # The first pixel and the image axes.
     d.dot(corners[0], ORANGE)
     d.text(corners[0] + [6, -40], "pixel (0, 0)", ORANGE, anchor="end")
     d.arrow(corners[0], corners[0] + 1.3 * right, ORANGE, 2)
@@ -120,49 +120,49 @@ def camera_frame() -> None:
 BOX = np.array([[-46.0, -30], [46, -30], [46, 30], [-46, 30]])
 
 
-def turned(points: Array, degrees: float) -> Array:
-    """Points (N, 2) of the page, turned about its origin as `so3_exp` turns about z (here: into the page)."""
+def rotate(points: Array, degrees: float) -> Array:
+    """Rotate points (N, 2) of the page about its origin, about the z axis, which points into the page."""
     R = geometry.so3_exp([0, 0, np.radians(degrees)])
     return np.asarray((np.pad(points, ((0, 0), (0, 1))) @ R.T)[:, :2])
 
 
 def backward_flow() -> None:
-    """Two frames; the flow lies on the current one and points back."""
+    """Draw two frames; the flow lies on the current frame and points back in time."""
     d = Drawing(760, 300)
     before, now = np.array([120.0, 165]), np.array([205.0, 140])
     for left, title in ((20, "previous frame"), (400, "current frame: all results lie on its pixels")):
         d.polygon([[left, 50], [left + 340, 50], [left + 340, 270], [left, 270]], GREY, "#f6f8fa", 1, 1.5)
         d.text((left, 38), title)
-    d.polygon(before + turned(BOX, -12), GREEN, GREEN, 0.25)
+    d.polygon(before + rotate(BOX, -12), GREEN, GREEN, 0.25)
     shift = np.array([380.0, 0])
-    d.polygon(shift + before + turned(BOX, -12), GREY, GREY, 0.10, 1.2)
-    d.polygon(shift + now + turned(BOX, 10), GREEN, GREEN, 0.25)
+    d.polygon(shift + before + rotate(BOX, -12), GREY, GREY, 0.10, 1.2)
+    d.polygon(shift + now + rotate(BOX, 10), GREEN, GREEN, 0.25)
     marks = np.array([[-38.0, -20], [34, -18], [0, 0], [-34, 22], [38, 22]])
     for mark in marks:
-        old, new = (before + turned(mark[None], -12)[0], now + turned(mark[None], 10)[0])
+        old, new = (before + rotate(mark[None], -12)[0], now + rotate(mark[None], 10)[0])
         d.dot(old, PURPLE, 3.5)
         d.arrow(shift + new, shift + old, PURPLE, 2)
         d.dot(shift + new, PURPLE, 3.5)
     d.text((728, 84), "S = P_prev − P_curr", PURPLE, 15, "end")
-    d.text((412, 258), "background: S = 0 under a still camera", GREY, 14)
+    d.text((412, 258), "background: S = 0 under a static camera", GREY, 14)
     d.polygon([[690, 200], [728, 206], [722, 238], [694, 234]], GREY, INK, 0.75, 1)
     d.text((686, 222), "no depth: NaN", GREY, 14, "end")
-    d.text((32, 258), "where the same points were", GREY, 14)
+    d.text((32, 258), "the same points in the previous frame", GREY, 14)
     d.write("convention_flow.svg")
 
 
 def about_the_centre() -> None:
-    """One motion, written about the object's centre X, and as a transform about the camera."""
+    """Draw one motion about the object's centre X, and as a transform about the camera."""
     d = Drawing(760, 350)
     camera, X, degrees = np.array([70.0, 285]), np.array([560.0, 190]), -16.0
     T = np.array([-190.0, 30])
     d.polygon(np.add(camera, [[-14, 0], [-24, 26], [24, 26], [14, 0]]), INK, "#e8f0fe", 1, 1.5)
     d.text(np.add(camera, [32, 22]), "camera", GREY, 14)
-    now, before = X + BOX, X + T + turned(BOX, degrees)
+    now, before = X + BOX, X + T + rotate(BOX, degrees)
     d.polygon(now, GREEN, GREEN, 0.28)
     d.polygon(before, GREY, GREY, 0.15)
-    # The box after the turn alone: R about X.
-    d.polygon(X + turned(BOX, degrees), ORANGE, "none", 0, 1.5)
+    # The box after the rotation R about X.
+    d.polygon(X + rotate(BOX, degrees), ORANGE, "none", 0, 1.5)
     d.arrow(X, X + T, BLUE)
     d.dot(X, INK)
     d.dot(X + T, INK)
@@ -174,8 +174,8 @@ def about_the_centre() -> None:
     d.text(np.add(X, [48, -36]), "R: about X", ORANGE)
     d.text((400, 306), "P_prev = R (P_curr − X) + X + T", PURPLE, 17)
     d.text((400, 332), "prev_T_curr = [R, t] with t = X + T − R X", PURPLE, 15)
-    # The same rotation about the camera carries the box far away: t has to bring it back.
-    about_camera = camera + turned((X - camera)[None], degrees)[0]
+    # The same rotation about the camera displaces the box, which t compensates.
+    about_camera = camera + rotate((X - camera)[None], degrees)[0]
     d.line(camera, X, FAINT, 1.5, "4 4")
     d.line(camera, about_camera, FAINT, 1.5, "4 4")
     d.dot(about_camera, GREY, 3)

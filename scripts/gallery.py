@@ -1,6 +1,8 @@
-"""What methods find, beside the truth, one row a pair: `python scripts/gallery.py OUT --data DIR --methods consensus`.
+"""Results of methods beside the truth, one row per pair.
 
-DIR is what `objectflow evaluate --data` takes: a generated set, "real:FOLDER" (pair folders with a truth) or "tiny".
+    python scripts/gallery.py OUT --data DIR --methods consensus
+
+DIR is a set as in `objectflow evaluate --data`: a generated one, "real:FOLDER" (pair folders with a truth) or "tiny".
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from objectflow.view.colors import INK
 from objectflow.view.overlay import draw_overlay
 
 GAP, HEAD = 6, 26
-"""Pixels between pictures, and of the line with the columns' names."""
+"""Pixels between pictures, and height of the header with the columns' names."""
 
 
 @dataclasses.dataclass
@@ -31,23 +33,23 @@ class Settings:
     out: Positional[Path]
     """Picture to write."""
     methods: tuple[str, ...] = ("consensus",)
-    """As `objectflow evaluate --methods` takes them."""
+    """Methods as in `objectflow evaluate --methods`."""
     data: str = "tiny"
     """Set of pairs with a truth."""
     split: str = "test"
-    """Of a generated set."""
+    """Split of a generated set."""
     keys: tuple[str, ...] = ()
-    """Pairs by their keys; without any, the first ones."""
+    """Keys of the pairs; by default the first ones."""
     pairs: int = 4
-    """How many, where no keys are given."""
+    """Number of pairs, if no keys are given."""
     camera: str = "auto"
-    """For all methods."""
+    """Camera option of all methods."""
     width: int = 320
-    """Pixels of each picture."""
+    """Width of each picture in pixels."""
 
 
 def main(settings: Settings) -> None:
-    """Estimate, draw, and lay side by side."""
+    """Run the methods, draw their results, and arrange them in a grid."""
     source = open_set(settings.data, split=settings.split)
     specs = parse_methods(["truth=oracle-motion", *settings.methods], camera=settings.camera)
     names = ["previous", "current", *(spec.label for spec in specs)]
@@ -69,8 +71,8 @@ def _row(tiles: list[UInt8Array], width: int) -> UInt8Array:
 
 def _header(names: list[str], width: int) -> UInt8Array:
     head = np.full((HEAD, len(names) * (width + GAP), 3), 255, np.uint8)
-    for place, name in enumerate(names):
-        canvas.write(head, name, place * (width + GAP) + 4, HEAD - 8, 16, INK, bold=True)
+    for column, name in enumerate(names):
+        canvas.write(head, name, column * (width + GAP) + 4, HEAD - 8, 16, INK, bold=True)
     return head
 
 

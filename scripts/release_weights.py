@@ -1,15 +1,15 @@
-"""From nothing to released weights: generate, train every network, evaluate, and release the best.
+"""Make released weights from scratch: generate data, train every network, evaluate, and release the best.
 
     python scripts/release_weights.py --out release                         # one GPU: hours
     python scripts/release_weights.py --out release --recipe cpu --pairs 2000 --val-pairs 128 --test-pairs 200 \
         --variants c-vl --minutes 90 --device cpu
     python scripts/release_weights.py --pack run/weights.safetensors --tables evaluation/tables.md
 
-The last one releases weights that other commands trained, with tables that `objectflow evaluate` wrote for them.
-Those of `rigidmatch` go into the package, the paper's network's into the folder `weights` of the repository.
+The last command releases weights that were trained before, with tables written by `objectflow evaluate`. Weights of
+`rigidmatch` go into the package, those of the paper's network into the folder `weights` of the repository.
 
-Each step is a command of `objectflow` that can be run by hand; all of them are printed. Run again after it was
-stopped, it goes on where it was: every step continues its own work and skips what is done.
+Each step is a command of `objectflow` that can also be run by hand; all of them are printed. The script can be run
+again after an interruption: every step continues its own work and skips what is done.
 """
 
 from __future__ import annotations
@@ -28,60 +28,60 @@ from objectflow.methods.find_weights import packaged_folder
 from objectflow.networks.weights import load_network, read_header, save_weights
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
+from objectflow.training.model_config import VARIANTS, Variant
 
-Variant = Literal["s", "c", "c-vl", "rigidmatch"]
 PAPER = Path(__file__).resolve().parents[1] / "weights"
-"""Where the paper's network's weights are released; `rigidmatch`'s come with the package."""
+"""Folder of the released weights of the paper's network; those of `rigidmatch` come with the package."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Generates data, trains, evaluates and packs the best weights with their card."""
+    """Generates data, trains and evaluates the networks, and packs the best weights with their card."""
 
     out: Path = Path("release")
-    """Folder of the data set, the runs and the tables; new, or of an earlier call."""
+    """Folder of the data set, the runs and the tables; new, or that of an earlier call."""
     recipe: str = "gpu"
-    """Of `objectflow train`."""
-    variants: tuple[Variant, ...] = ("s", "c", "c-vl", "rigidmatch")
-    """Which networks to train. Shipped are rigidmatch, and the one of the paper's with the lowest validation error."""
+    """Recipe of `objectflow train`."""
+    variants: tuple[Variant, ...] = VARIANTS
+    """Networks to train. Released are rigidmatch and the paper's network with the lowest validation error."""
     pairs: int = 25_000
     """Training pairs."""
-    wild_pairs: int = 25_000
-    """More training pairs, of the preset wild, for rigidmatch; 0 for none."""
+    clutter_pairs: int = 25_000
+    """Additional training pairs of the preset clutter for rigidmatch; 0 for none."""
     val_pairs: int = 1_000
     """Validation pairs."""
     test_pairs: int = 1_000
     """Test pairs for the tables."""
     views: int = 1
-    """Cameras a scene: more are cheaper, and more alike."""
+    """Cameras per scene; pairs of more cameras are faster to generate, but less diverse."""
     samples: Literal[1, 4] = 4
-    """Colour samples a pixel of generated images."""
+    """Colour samples per pixel of generated images."""
     passes: float = 12.0
-    """How often each training pair is used."""
+    """Number of passes over the training pairs."""
     minutes: float | None = None
-    """Stop each training after so much time instead."""
+    """Training time of each network; replaces passes."""
     workers: int = 2
     """Processes that generate data, and that read it in training."""
     device: str = "auto"
-    """Where pictures are rendered and networks trained: auto, cpu or cuda."""
+    """Device of rendering and training: auto, cpu or cuda."""
     classical: tuple[str, ...] = ("zero", "dense-flow", "consensus")
     """Methods without weights for the tables."""
     ship: bool = True
-    """Write the best weights into the package and the folder weights; otherwise only say which they are."""
+    """Write the best weights into the package and the folder weights; otherwise only print which they are."""
     pack: Path | None = None
-    """Only put these weights where they are released."""
+    """Only release these weights."""
     tables: Path | None = None
-    """With `pack`: the tables.md of their evaluation, for the card."""
+    """With --pack: the tables.md of their evaluation, for the card."""
     size: tuple[int, int] | None = None
-    """With `pack`: height and width that frames are brought to, where another size than training's proved better."""
+    """With --pack: height and width to which frames are resized, if not those of training."""
     queries: int | None = None
-    """With `pack`: how many objects rigidmatch looks for, where more than in training proved better."""
+    """With --pack: number of queries of rigidmatch, if not that of training."""
     history: str = ""
-    """With `pack`: what came before these weights' own run, in a sentence for the card."""
+    """With --pack: a sentence for the card about earlier runs from which the training started."""
 
 
 def main(settings: Settings) -> None:
-    """Generate, train, evaluate, pack."""
+    """Generate data, train, evaluate, and pack the best weights."""
     import torch
 
     if settings.pack is not None:
@@ -91,17 +91,17 @@ def main(settings: Settings) -> None:
     device = settings.device
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
-    data, wild = settings.out / "data", settings.out / "wild"
+    data, clutter = settings.out / "data", settings.out / "clutter"
     for split, count in (("train", settings.pairs), ("val", settings.val_pairs), ("test", settings.test_pairs)):
         generate(settings, data, "paper", split, count, device)
-    if "rigidmatch" in settings.variants and settings.wild_pairs:
-        generate(settings, wild, "wild", "train", settings.wild_pairs, device)
+    if "rigidmatch" in settings.variants and settings.clutter_pairs:
+        generate(settings, clutter, "clutter", "train", settings.clutter_pairs, device)
     for variant in settings.variants:
         length = ["--passes", settings.passes] if settings.minutes is None else ["--minutes", settings.minutes]
         run(
             "train", "--recipe", settings.recipe, "--variant", variant, "--data", data, "--device", device,
             "--out", settings.out / f"train-{variant}", "--workers", settings.workers, *length, "--resume",
-            *(("--also", wild) if variant == "rigidmatch" and settings.wild_pairs else ()),
+            *(("--extra-data", clutter) if variant == "rigidmatch" and settings.clutter_pairs else ()),
         )  # fmt: skip
     run("evaluate", "--data", data, "--methods", *methods(settings, device), "--out", settings.out / "tables")
     tables = (settings.out / "tables" / "tables.md").read_text(encoding="utf-8")
@@ -112,7 +112,7 @@ def main(settings: Settings) -> None:
 
 
 def generate(settings: Settings, folder: Path, preset: str, split: str, count: int, device: str) -> None:
-    """Make one split, or go on with it."""
+    """Generate one split, or continue its generation."""
     views = settings.views if split == "train" else 1
     run(
         "generate", "--out", folder, "--preset", preset, "--split", split, "--pairs", count,
@@ -121,14 +121,14 @@ def generate(settings: Settings, folder: Path, preset: str, split: str, count: i
 
 
 def chosen(settings: Settings) -> list[Variant]:
-    """What is shipped: the best of the paper's networks, and rigidmatch."""
+    """The variants to release: the best of the paper's networks, and rigidmatch."""
     papers = [variant for variant in settings.variants if variant != "rigidmatch"]
     best = sorted(papers, key=lambda variant: validation_error(weights_of(settings, variant)))[:1]
     return [*best, *(variant for variant in settings.variants if variant == "rigidmatch")]
 
 
 def run(*words: object) -> None:
-    """Run a verb of objectflow and stop with its exit code if it fails."""
+    """Run a command of objectflow, and exit with its code if it fails."""
     command = [sys.executable, "-m", "objectflow", *map(str, words)]
     print(f"$ {shlex.join(['objectflow', *command[3:]])}", flush=True)
     done = subprocess.run(command, check=False)
@@ -137,12 +137,12 @@ def run(*words: object) -> None:
 
 
 def weights_of(settings: Settings, variant: Variant) -> Path:
-    """What training a variant writes."""
+    """The weights that the training of a variant writes."""
     return settings.out / f"train-{variant}" / "weights.safetensors"
 
 
 def methods(settings: Settings, device: str) -> list[str]:
-    """Every row of the tables: the classical ones, and each network by pixels, by objects, and refined."""
+    """The rows of the tables: the classical methods, and each network per pixel, per object, and refined."""
     rows = list(settings.classical)
     for variant in settings.variants:
         name = variant if variant == "rigidmatch" else f"sceneflownet-{variant}"
@@ -153,7 +153,7 @@ def methods(settings: Settings, device: str) -> list[str]:
 
 
 def validation_error(weights: Path) -> float:
-    """Masked end-point error on the validation split, centimetres."""
+    """Masked end-point error on the validation split, cm."""
     metrics: dict[str, Any] = read_header(weights)[1].get("metrics") or {}
     return float(metrics.get("epe_cm", float("inf")))
 
@@ -161,43 +161,41 @@ def validation_error(weights: Path) -> float:
 def pack(
     weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None, queries: int | None = None
 ) -> None:
-    """Write the weights in half precision where they are released, with their card and their hash."""
-    network, about = load_network(weights)
+    """Write weights in half precision to their folder of released weights, with their card and their hash."""
+    network, metadata = load_network(weights)
     if queries is not None:
-        network, about = load_network(weights, settings=dataclasses.replace(network.settings, queries=queries))
+        network, metadata = load_network(weights, settings=dataclasses.replace(network.settings, queries=queries))
     if size is not None:
-        about["size"] = list(size)
-    name = about["variant"]
+        metadata["size"] = list(size)
+    name = metadata["variant"]
     target = (packaged_folder() if name == "rigidmatch" else PAPER) / f"{name}.safetensors"
     target.parent.mkdir(exist_ok=True)
     if name != "rigidmatch":
         for old in target.parent.glob("sceneflownet-*.safetensors"):
             old.unlink()
             old.with_suffix(".md").unlink(missing_ok=True)
-    save_weights(target, network, about, half=True)
-    files.write_text(
-        target.with_suffix(".md"),
-        card(about, target, sum(one.numel() for one in network.parameters()), tables, history),
-    )
+    save_weights(target, network, metadata, half=True)
+    parameters = sum(parameter.numel() for parameter in network.parameters())
+    files.write_text(target.with_suffix(".md"), card(metadata, target, parameters, tables, history))
     print(f"written: {target} and its card")
 
 
-def card(about: dict[str, Any], target: Path, parameters: int, tables: str, history: str) -> str:
-    """What somebody who uses the weights should know, all of it from the file itself and the tables."""
-    recipe = about["recipe"]
-    (trained_height, trained_width), (height, width) = recipe["size"], about["size"]
+def card(metadata: dict[str, Any], target: Path, parameters: int, tables: str, history: str) -> str:
+    """The model card, from the metadata of the weights and the tables."""
+    recipe, minutes = metadata["recipe"], metadata["seconds"] / 60
+    (trained_height, trained_width), (height, width) = recipe["size"], metadata["size"]
     fields = ", ".join(f"`{key}` {value}" for key, value in recipe.items() if not isinstance(value, dict))
-    return f"""# {about["variant"]}
+    return f"""# {metadata["variant"]}
 
 | | |
 |---|---|
 | file | `{target.name}`, {target.stat().st_size / 2**20:.1f} MiB, float16 |
 | sha256 | `{hash_file(target)}` |
 | parameters | {parameters:,} |
-| size | trained at {trained_width}x{trained_height}; frames are brought to as many pixels as {width}x{height} has |
-| recipe | `{about["recipe_name"]}`, stopped at step {about["step"]:,} after {about["seconds"] / 60:.0f} minutes |
-| data | simulated pairs, sha256 of the data set `{about["data"]}` |
-| validation | {json.dumps(about["metrics"])} |
+| size | trained at {trained_width}x{trained_height}; frames are resized to the number of pixels of {width}x{height} |
+| recipe | `{metadata["recipe_name"]}`, stopped at step {metadata["step"]:,} after {minutes:.0f} minutes |
+| data | simulated pairs, sha256 of the data set `{metadata["data"]}` |
+| validation | {json.dumps(metadata["metrics"])} |
 
 Recipe: {fields}. {history}
 
@@ -207,20 +205,20 @@ Recipe: {fields}. {history}
 
 ## Limits
 
-{LIMITS["rigidmatch" if about["variant"] == "rigidmatch" else "sceneflownet"]}
+{LIMITS["rigidmatch" if metadata["variant"] == "rigidmatch" else "sceneflownet"]}
 """
 
 
 LIMITS = {
     "sceneflownet": """\
-Trained on simulated scenes alone: everyday objects that fall close together onto a floor, seen from 0.2 to 0.8 m by
-a camera that stands still. Everything in such a scene moves; on a table where most things stand still, `consensus` is
-the safer choice: on a real one the network may call most of the scene moving, in many pieces. Thin, transparent and
-mirroring things were never seen.""",
+Trained on simulated scenes only: everyday objects that fall close together onto a floor, seen from 0.2 to 0.8 m by a
+static camera. Everything in such a scene moves. On a table where most objects are static, `consensus` is the safer
+choice: in real scenes the network may label most of the scene as moving, in many pieces. Thin, transparent and
+mirroring objects are not in the training data.""",
     "rigidmatch": """\
-Trained on simulated scenes alone: falling piles, where everything counts as an object, and tables, floors and bins on
-which a few things move and the rest stands still. Small things far away cover few cells of its grid and are missed.
-Thin, transparent and mirroring things were never seen, nor people and hands.""",
+Trained on simulated scenes only: falling piles, in which everything is an object, and tables, floors and bins on which
+a few objects move and the rest is static. Small distant objects cover few cells of its grid and are missed. Thin,
+transparent and mirroring objects, people and hands are not in the training data.""",
 }
 
 

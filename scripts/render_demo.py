@@ -1,9 +1,9 @@
-"""Draw the pair of frames that comes with the package: a table with six things, three of which moved.
+"""Render the packaged pair of frames: six objects on a table, three of which moved.
 
     python scripts/render_demo.py                  # writes src/objectflow/demo/pair
 
-Ray casting in numpy, independent of the package and of its generator. World frame: metres, z up, the table at z = 0.
-Rays are `t * (x, y, 1)` in the camera frame, so that `t` is the planar depth. Colours are linear until the end.
+Ray casting in NumPy, independent of the package and its generator. World frame: metres, z up, table at z = 0. Rays are
+`t * (x, y, 1)` in the camera frame, so `t` is the planar depth. Colours are linear until the final conversion.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from demo_paint import PAINT, wood
 Array = NDArray[Any]
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 615.0
-SAMPLES = 4  # per pixel and axis, for the colour; depth and labels are those of the pixel's centre
+SAMPLES = 4
+"""Colour samples per pixel and axis; depth and labels are sampled at the pixel centre."""
 DEPTH_SCALE = 1000
 SEED = 7
 EYE, TARGET = np.array([0.03, -0.54, 0.45]), np.array([0.02, 0.035, 0.035])
@@ -33,59 +34,70 @@ LAMP, LAMP_RADIUS = np.array([-0.55, -0.35, 1.15]), 0.09
 
 
 @dataclass(frozen=True)
-class Thing:
-    """A box (half sizes), an upright can (radius, radius, half height) or a ball (radius), and where it stands."""
+class DemoObject:
+    """An object and its placement.
+
+    Attributes:
+        name: also selects the paint.
+        kind: "box", "can" (upright) or "ball".
+        size: half extents of a box, (radius, radius, half height) of a can, (radius, ...) of a ball, metres.
+        xy: position on the table in the current frame, metres.
+        yaw_deg: rotation about the vertical in the current frame.
+        displacement: on the table, previous to current frame, metres.
+        rotation_deg: change of yaw, previous to current frame.
+        rolls: whether a ball rolls along its displacement.
+    """
 
     name: str
     kind: str
     size: tuple[float, float, float]
     xy: tuple[float, float]
-    turn: float  # degrees about the vertical, in the current frame
-    moved: tuple[float, float] = (0.0, 0.0)  # metres on the table, previous to current
-    turned: float = 0.0  # degrees, previous to current
-    rolled: bool = False  # a ball turns about the horizontal axis that its way demands
+    yaw_deg: float
+    displacement: tuple[float, float] = (0.0, 0.0)
+    rotation_deg: float = 0.0
+    rolls: bool = False
 
     def pose(self, *, current: bool) -> Array:
         """world_T_object in one of the two frames."""
-        xy = np.array(self.xy) - (0 if current else np.array(self.moved))
-        turn = self.turn - (0 if current else self.turned)
+        xy = np.array(self.xy) - (0 if current else np.array(self.displacement))
+        yaw = self.yaw_deg - (0 if current else self.rotation_deg)
         out = np.eye(4)
-        out[:3, :3] = Rotation.from_euler("z", turn, degrees=True).as_matrix()
-        if self.rolled and not current:
-            way = np.array([*self.moved, 0.0])
-            axis = np.cross([0, 0, 1], way) / self.size[0]
+        out[:3, :3] = Rotation.from_euler("z", yaw, degrees=True).as_matrix()
+        if self.rolls and not current:
+            axis = np.cross([0, 0, 1], np.array([*self.displacement, 0.0])) / self.size[0]
             out[:3, :3] = Rotation.from_rotvec(-axis).as_matrix() @ out[:3, :3]
         out[:3, 3] = [*xy, self.size[2]]
         return out
 
 
-THINGS = (
-    Thing("cereal box", "box", (0.060, 0.022, 0.085), (-0.150, 0.160), 14),
-    Thing("tea box", "box", (0.048, 0.034, 0.034), (0.010, -0.030), 28, moved=(0.045, -0.020), turned=22),
-    Thing("can", "can", (0.033, 0.033, 0.050), (0.165, 0.120), 40, moved=(0.030, 0.030), turned=-18),
-    Thing("ball", "ball", (0.042, 0.042, 0.042), (-0.150, -0.060), 35, moved=(0.019, 0.011), rolled=True),
-    Thing("book", "box", (0.062, 0.085, 0.011), (0.235, -0.075), -12),
-    Thing("jar", "can", (0.038, 0.038, 0.030), (0.020, 0.205), 0),
+OBJECTS = (
+    DemoObject("cereal box", "box", (0.060, 0.022, 0.085), (-0.150, 0.160), 14),
+    DemoObject("tea box", "box", (0.048, 0.034, 0.034), (0.010, -0.030), 28, (0.045, -0.020), 22),
+    DemoObject("can", "can", (0.033, 0.033, 0.050), (0.165, 0.120), 40, (0.030, 0.030), -18),
+    DemoObject("ball", "ball", (0.042, 0.042, 0.042), (-0.150, -0.060), 35, (0.019, 0.011), rolls=True),
+    DemoObject("book", "box", (0.062, 0.085, 0.011), (0.235, -0.075), -12),
+    DemoObject("jar", "can", (0.038, 0.038, 0.030), (0.020, 0.205), 0),
 )
 
 
 def cast(origin: Array, rays: Array, poses: list[Array]) -> tuple[Array, Array]:
-    """The nearest hit of world rays (N, 3) from origins (N, 3) or (3,): distance in ray lengths (inf), label (N,).
+    """Cast world rays (N, 3) from origins (N, 3) or (3,) to their nearest hits.
 
-    Label 0 is the table; -1 is nothing.
+    Returns:
+        (N,) distances in ray lengths, inf for no hit, and (N,) labels: object index from 1, 0 = table, -1 = no hit.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.broadcast_to(origin, rays.shape)[:, 2] / -rays[:, 2]
     label = np.where(t > 1e-6, 0, -1)
     nearest = np.where(t > 1e-6, t, np.inf)
-    for index, (thing, world_T_object) in enumerate(zip(THINGS, poses, strict=True), start=1):
+    for index, (obj, world_T_object) in enumerate(zip(OBJECTS, poses, strict=True), start=1):
         R, center = world_T_object[:3, :3], world_T_object[:3, 3]
         o, d = (np.broadcast_to(origin, rays.shape) - center) @ R, rays @ R
-        # Most rays pass far from a thing: test its sphere first.
-        reach = float(np.linalg.norm(thing.size))
+        # The bounding sphere is tested first, since most rays miss an object.
+        radius = float(np.linalg.norm(obj.size))
         closest = o - d * ((o * d).sum(-1) / (d * d).sum(-1))[:, None]
-        near = np.nonzero((closest**2).sum(-1) < reach**2)[0]
-        hit = INTERSECT[thing.kind](o[near], d[near], np.array(thing.size))
+        near = np.nonzero((closest**2).sum(-1) < radius**2)[0]
+        hit = INTERSECT[obj.kind](o[near], d[near], np.array(obj.size))
         better = (hit > 1e-6) & (hit < nearest[near])
         nearest[near[better]] = hit[better]
         label[near[better]] = index
@@ -124,38 +136,39 @@ def _round(o: Array, d: Array, radius: float) -> tuple[Array, Array]:
 INTERSECT = {"box": _hit_box, "can": _hit_can, "ball": _hit_ball}
 
 
-def normals(thing: Thing, points: Array) -> Array:
-    """Outward normals in the object frame at surface points in the object frame."""
-    if thing.kind == "ball":
-        return points / thing.size[0]
-    relative = points / np.array(thing.size)
+def normals(obj: DemoObject, points: Array) -> Array:
+    """Outward normals at surface points, both in the object frame."""
+    if obj.kind == "ball":
+        return points / obj.size[0]
+    relative = points / np.array(obj.size)
     out = np.zeros_like(points)
-    if thing.kind == "box":
+    if obj.kind == "box":
         axis = np.abs(relative).argmax(-1)
         out[np.arange(len(out)), axis] = np.sign(relative[np.arange(len(out)), axis])
         return out
     lid = np.abs(relative[:, 2]) > 0.9995
     out[lid, 2] = np.sign(relative[lid, 2])
-    out[~lid, :2] = points[~lid, :2] / thing.size[0]
+    out[~lid, :2] = points[~lid, :2] / obj.size[0]
     return out
 
 
 def render(world_T_camera: Array, poses: list[Array], rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Colour (H, W, 3) uint8 RGB, planar depth (H, W) metres, labels (H, W) int32."""
-    depth, label = cast(EYE, _rays(0.0, 0.0) @ world_T_camera[:3, :3].T, poses)
+    """Render colour (H, W, 3) uint8 RGB, planar depth (H, W) metres and labels (H, W) int32."""
+    depth, label = cast(EYE, pixel_rays(0.0, 0.0) @ world_T_camera[:3, :3].T, poses)
     light = np.zeros((HEIGHT * WIDTH, 3))
     for i in range(SAMPLES):
         for j in range(SAMPLES):
             du, dv = (np.array([i, j]) + rng.uniform(size=2)) / SAMPLES - 0.5
-            light += shade(_rays(du, dv) @ world_T_camera[:3, :3].T, poses, rng)
+            light += shade(pixel_rays(du, dv) @ world_T_camera[:3, :3].T, poses, rng)
     light /= SAMPLES**2
-    light = light / (1 + 0.12 * light)  # keep highlights from clipping hard
+    light = light / (1 + 0.12 * light)  # Compress highlights.
     color = np.clip(light, 0, 1) ** (1 / 2.2) * 255 + rng.normal(0, 1.2, light.shape)
     image = np.clip(np.rint(color), 0, 255).astype(np.uint8).reshape(HEIGHT, WIDTH, 3)
     return image, depth.reshape(HEIGHT, WIDTH), label.reshape(HEIGHT, WIDTH).astype(np.int32)
 
 
-def _rays(du: float, dv: float) -> Array:
+def pixel_rays(du: float, dv: float) -> Array:
+    """(H * W, 3) rays with z = 1 through the pixel centres shifted by (du, dv) pixels."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     x = (u + du - (WIDTH - 1) / 2) / FOCAL
     y = (v + dv - (HEIGHT - 1) / 2) / FOCAL
@@ -163,7 +176,7 @@ def _rays(du: float, dv: float) -> Array:
 
 
 def shade(rays: Array, poses: list[Array], rng: np.random.Generator) -> Array:
-    """Linear RGB of rays from the eye: a round lamp with soft shadows, a pale sky, dark contacts, a little gloss."""
+    """Linear RGB of rays from the eye, with a disk light, soft shadows, sky light, contact shadows and gloss."""
     t, label = cast(EYE, rays, poses)
     t = np.where(np.isfinite(t), t, 10.0)
     points = EYE + rays * t[:, None]
@@ -172,27 +185,27 @@ def shade(rays: Array, poses: list[Array], rng: np.random.Generator) -> Array:
     base[table] = wood(points[table, :2])
     gloss[table] = 0.05
     contact = np.ones(len(points))
-    for index, (thing, world_T_object) in enumerate(zip(THINGS, poses, strict=True), start=1):
-        mine = label == index
+    for index, (obj, world_T_object) in enumerate(zip(OBJECTS, poses, strict=True), start=1):
+        mask = label == index
         R, center = world_T_object[:3, :3], world_T_object[:3, 3]
-        local = (points[mine] - center) @ R
-        local_normal = normals(thing, local)
-        base[mine], gloss[mine] = PAINT[thing.name](local, local_normal, np.array(thing.size))
-        normal[mine] = local_normal @ R.T
-        # Ground near a thing, and a thing near the ground, see less of the sky.
-        away = np.maximum(np.abs((points[table] - center) @ R) - np.array(thing.size), 0)
+        local = (points[mask] - center) @ R
+        local_normal = normals(obj, local)
+        base[mask], gloss[mask] = PAINT[obj.name](local, local_normal, np.array(obj.size))
+        normal[mask] = local_normal @ R.T
+        # Sky light is occluded where the table and an object are close to each other.
+        outside = np.maximum(np.abs((points[table] - center) @ R) - np.array(obj.size), 0)
         gap = (
-            np.linalg.norm(away[:, :2], axis=-1)
-            if thing.kind == "box"
-            else np.maximum(np.linalg.norm((points[table] - center)[:, :2], axis=-1) - thing.size[0] * 0.8, 0)
+            np.linalg.norm(outside[:, :2], axis=-1)
+            if obj.kind == "box"
+            else np.maximum(np.linalg.norm((points[table] - center)[:, :2], axis=-1) - obj.size[0] * 0.8, 0)
         )
         contact[table] *= 1 - 0.50 * np.exp(-gap / 0.014)
-        contact[mine] *= 1 - 0.45 * np.exp(-points[mine, 2] / 0.016)
+        contact[mask] *= 1 - 0.45 * np.exp(-points[mask, 2] / 0.016)
     lamp = LAMP + _on_disk(rng, len(points)) * LAMP_RADIUS
-    way = lamp - points
-    distance, lit_label = cast(points + 2e-5 * normal, way, poses)
-    lit = ~((distance < 1) & (lit_label > 0))
-    toward = way / np.linalg.norm(way, axis=-1, keepdims=True)
+    to_lamp = lamp - points
+    distance, blocker = cast(points + 2e-5 * normal, to_lamp, poses)
+    lit = ~((distance < 1) & (blocker > 0))
+    toward = to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
     facing = np.clip((normal * toward).sum(-1), 0, 1) * lit
     half = toward - rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
@@ -208,7 +221,7 @@ def _on_disk(rng: np.random.Generator, count: int) -> Array:
 
 
 def measure(depth: Array, rng: np.random.Generator) -> NDArray[np.uint16]:
-    """What a depth camera makes of true depth: noise that grows with distance, holes at depth edges, whole units."""
+    """Simulate a depth camera: noise that grows with distance, holes at depth edges, quantisation."""
     sigma = 0.0006 + 0.0012 * (depth - 0.4) ** 2
     coarse = ndimage.gaussian_filter(rng.normal(size=depth.shape), 1.0)
     noisy = depth + sigma * coarse / coarse.std()
@@ -229,7 +242,7 @@ def look_at(eye: Array, target: Array) -> Array:
 
 
 def main() -> None:
-    """Write the pair folder and its truth."""
+    """Write the pair folder and its ground truth."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     default = Path(__file__).resolve().parents[1] / "src" / "objectflow" / "demo" / "pair"
     parser.add_argument("--out", type=Path, default=default)
@@ -237,7 +250,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
     world_T_camera = look_at(EYE, TARGET)
-    poses = [[thing.pose(current=current) for thing in THINGS] for current in (False, True)]
+    poses = [[obj.pose(current=current) for obj in OBJECTS] for current in (False, True)]
     truth: dict[str, Array] = {}
     for index in (0, 1):
         color, depth, labels = render(world_T_camera, poses[index], rng)
@@ -250,8 +263,8 @@ def main() -> None:
     truth |= {
         "prev_T_curr": np.array(motions),
         "centers": np.array(centers),
-        "names": np.array([thing.name for thing in THINGS]),
-        "moving": np.array([thing.moved != (0.0, 0.0) for thing in THINGS]),
+        "names": np.array([obj.name for obj in OBJECTS]),
+        "moving": np.array([obj.displacement != (0.0, 0.0) for obj in OBJECTS]),
     }
     np.savez_compressed(out / "truth.npz", **truth)  # type: ignore[arg-type]
     camera = {"width": WIDTH, "height": HEIGHT, "fx": FOCAL, "fy": FOCAL}

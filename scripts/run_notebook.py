@@ -1,9 +1,9 @@
-"""Execute docs/notebook.ipynb from top to bottom and keep its outputs.
+"""Execute docs/notebook.ipynb and store its outputs.
 
     pip install -e ".[test]"
     python scripts/run_notebook.py                 # writes the notebook with fresh outputs
 
-No Jupyter server is needed. What changes from run to run (times of execution) is left out.
+No Jupyter server is needed. Execution times are removed, since they change from run to run.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ import nbclient
 import nbformat
 
 NOTEBOOK = Path(__file__).resolve().parents[1] / "docs" / "notebook.ipynb"
-SECONDS = 300
+TIMEOUT = 300
+"""Longest execution time of a cell, seconds."""
 
 
 def execute(path: Path) -> Any:
-    """The notebook of a file, executed.
+    """Execute the notebook of a file and return it.
 
     Raises:
-        nbclient.exceptions.CellExecutionError: a cell fails; the message is its traceback.
+        nbclient.exceptions.CellExecutionError: a cell failed; the message is its traceback.
     """
     notebook = nbformat.read(path, as_version=4)
     resources = {"metadata": {"path": str(path.parent)}}
-    nbclient.NotebookClient(notebook, timeout=SECONDS, kernel_name="python3", resources=resources).execute()
+    nbclient.NotebookClient(notebook, timeout=TIMEOUT, kernel_name="python3", resources=resources).execute()
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
     notebook.metadata["language_info"] = {"name": "python"}

@@ -1,6 +1,7 @@
-"""Take the picture of the web viewer for the pages: `python scripts/viewer_picture.py` writes docs/images/viewer.png.
+"""Take the screenshot of the web viewer for the documentation: `python scripts/viewer_picture.py`.
 
-It needs Chromium, rerun (extra `view`) and what the tests need. The demo's pair is estimated with `consensus`.
+Writes docs/images/viewer.png with the result of the default method on the demo pair. Needs Chromium, rerun (extra
+`view`) and the extra `test`.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ ROOT = Path(__file__).resolve().parents[1]
 PAIR = ROOT / "src" / "objectflow" / "demo" / "pair"
 PICTURE = ROOT / "docs" / "images" / "viewer.png"
 SIZE = (1100, 660)
-PATIENCE = 120.0
-"""Seconds for a page that takes long to draw."""
+TIMEOUT = 120.0
+"""Longest wait for the page to be drawn, seconds."""
 
 
 def main() -> None:
-    """Estimate, serve, open, take the picture."""
+    """Estimate, serve, open, take the screenshot."""
     program = find_chromium()
     if program is None:
         raise SystemExit("no Chromium or Chrome is installed")
-    verb = [sys.executable, "-m", "objectflow"]
+    program_words = [sys.executable, "-m", "objectflow"]
     with tempfile.TemporaryDirectory() as folder:
         result = Path(folder) / "result"
-        subprocess.run([*verb, "estimate", str(PAIR), "--out", str(result)], check=True)
-        command = [*verb, "view", str(result), "--frames", str(PAIR), "--web"]
+        subprocess.run([*program_words, "estimate", str(PAIR), "--out", str(result)], check=True)
+        command = [*program_words, "view", str(result), "--frames", str(PAIR), "--web"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
             try:
                 assert server.stdout is not None
@@ -45,8 +46,8 @@ def main() -> None:
                     page.size(*SIZE)
                     page.call("Page.navigate", url=address)
                     page.wait("document.readyState === 'complete' && document.querySelector('canvas')")
-                    picture, end = page.picture(), time.monotonic() + PATIENCE
-                    # Drawn when it is rich, and stays the same.
+                    picture, end = page.picture(), time.monotonic() + TIMEOUT
+                    # The page is complete when the screenshot is large and does not change any more.
                     while time.monotonic() < end:
                         time.sleep(5)
                         last, picture = picture, page.picture()
@@ -59,7 +60,7 @@ def main() -> None:
 
 
 def write_small(picture: bytes) -> None:
-    """As a PNG with fewer steps a channel: half as large, and nobody sees it."""
+    """Write the screenshot as a PNG with 5 bits per channel, which halves its size without visible loss."""
     image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR) & 0xF8
     cv2.imwrite(str(PICTURE), image | image >> 5, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 

@@ -14,7 +14,15 @@ from hypothesis.extra import numpy as arrays
 
 from objectflow import geometry
 from objectflow.errors import DatasetError, ResultError, StorageError
-from objectflow.evaluation.cache import STEP, MethodCache, encode, file_name, read_prediction
+from objectflow.evaluation.cache import (
+    STEP,
+    MethodCache,
+    encode,
+    file_name,
+    pack_flow,
+    read_prediction,
+    unpack_flow,
+)
 from objectflow.motion import ObjectMotion, SceneMotion
 
 
@@ -72,10 +80,8 @@ def test_a_pixel_without_a_whole_flow_has_none(tmp_path: Path) -> None:
 
 @given(arrays.arrays(np.float32, (3, 5, 3), elements=st.floats(-5, 5, width=32)))
 def test_any_flow_is_rounded_by_half_a_step_at_most(flow: np.ndarray[Any, np.dtype[np.float32]]) -> None:
-    from objectflow.evaluation.cache import _pack, _unpack
-
-    # Half a step, and what float32 has to spare at this size.
-    assert np.abs(_unpack(_pack(flow)).astype(np.float64) - flow).max() <= STEP / 2 + 5 * 2.0**-23
+    # Half a step, and the spacing of float32 numbers of this size.
+    assert np.abs(unpack_flow(pack_flow(flow)).astype(np.float64) - flow).max() <= STEP / 2 + 5 * 2.0**-23
 
 
 def test_no_cut_off_file_is_a_prediction(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""How methods are named on the command line."""
+"""Names and options of methods on the command line."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from objectflow.errors import MethodError
-from objectflow.evaluation.methods import _recorded, parse_method, parse_methods
+from objectflow.evaluation.methods import parse_method, parse_methods, recorded
 
 
 def test_a_name() -> None:
@@ -17,7 +17,7 @@ def test_a_name() -> None:
     assert (spec.label, spec.name, spec.options, spec.oracle, spec.folder) == (
         "consensus", "consensus", {}, False, "consensus",
     )  # fmt: skip
-    # Defaults are settings too: a program with others makes other predictions.
+    # Defaults are recorded too, since a version with other defaults makes other predictions.
     assert spec.settings["rounds"] == 3
     assert spec.settings["camera"] == "auto"
 
@@ -33,7 +33,7 @@ def test_options_and_labels() -> None:
     assert named.settings["camera"] == "moving"
 
 
-def test_oracles_see_what_they_are_given() -> None:
+def test_oracles_have_options_too() -> None:
     masks, motion = parse_methods(["oracle-masks", "oracle-motion"], camera="static")
     assert masks.oracle
     assert motion.oracle
@@ -51,11 +51,11 @@ def test_oracles_see_what_they_are_given() -> None:
         (["a b=zero", "a_b=dense-flow"], "two methods are called 'a b'"),
         (["=zero"], "no label"),
         (["zero:camera"], "NAME:OPTION=VALUE"),
-        (["zero:magic=1"], "has no option 'magic'"),
+        (["zero:magic=1"], "unknown setting magic"),
         (["oracle-motion:labels=1"], "has no option 'labels'"),
         (["zero:camera=flying"], "camera must be"),
-        (["consensus:rounds=many"], "cannot use"),
-        (["consensus:rounds=0"], "one round or more"),
+        (["consensus:rounds=many"], "rounds must be a whole number"),
+        (["consensus:rounds=0"], "rounds must be at least 1"),
     ],
 )
 def test_what_is_no_method(texts: list[str], message: str) -> None:
@@ -66,10 +66,10 @@ def test_what_is_no_method(texts: list[str], message: str) -> None:
 def test_files_are_recorded_by_their_hash(tmp_path: Path) -> None:
     (tmp_path / "w.safetensors").write_bytes(b"weights")
     expected = {"file": "w.safetensors", "sha256": hashlib.sha256(b"weights").hexdigest()}
-    assert _recorded(tmp_path / "w.safetensors") == expected
-    assert _recorded(str(tmp_path / "w.safetensors")) == expected
-    assert _recorded(Path("nowhere")) == "PosixPath('nowhere')"
-    assert _recorded((1, np.float32(0.5))) == [1, 0.5]
+    assert recorded(tmp_path / "w.safetensors") == expected
+    assert recorded(str(tmp_path / "w.safetensors")) == expected
+    assert recorded(Path("nowhere")) == "PosixPath('nowhere')"
+    assert recorded((1, np.float32(0.5))) == [1, 0.5]
 
 
 def test_estimators_are_made_with_the_options() -> None:

@@ -1,4 +1,4 @@
-"""The two passes with methods that behave, fail, and return nonsense."""
+"""The two passes of an evaluation with methods that succeed, fail, or return invalid results."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ CALLS: list[str] = []
 
 @dataclass(frozen=True)
 class Moody:
-    """Says that label 1 moved by 6 cm, unless its mood is another."""
+    """Reports that label 1 moved by 6 cm, unless its mood makes it fail."""
 
     camera: str = "auto"
     mood: str = "good"
@@ -58,7 +58,7 @@ class Moody:
 
 @dataclass(frozen=True)
 class Whole:
-    """Takes sequences."""
+    """A method that takes sequences."""
 
     camera: str = "auto"
 
@@ -90,7 +90,7 @@ def methods(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> PairSet:
-    return open_set(str(small_sets.write_pairs(tmp_path_factory.mktemp("data") / "set", 4)))
+    return open_set(str(small_sets.write_box_pairs(tmp_path_factory.mktemp("data") / "set", 4)))
 
 
 def run(pairs: PairSet, out: Path, *texts: str, limit: int | None = None, workers: int = 1) -> Evaluation:
@@ -103,16 +103,16 @@ def test_a_right_answer_scores_as_one(data: PairSet, tmp_path: Path) -> None:
     (method,) = run(data, tmp_path, "moody").methods
     assert method.summary is not None
     assert method.failures == ()
-    # Label 1 is found, label 2 (which stands still) is not; the background is all right but for label 2's pixels.
+    # Label 1 is found, and label 2, which is static, is not; the background is right except for label 2's pixels.
     assert method.summary.mean_f.extracted == 4
     assert method.summary.mean_f.true_objects == 8
     background = 64 * 48 - 12 * 12 - 12 * 16
     f = 2 * background / (2 * background + 12 * 16)
     assert method.summary.mean_f.f.value == pytest.approx((f + 1 + 0) / 3)
-    # The flow is right everywhere, up to the rounding of what is cached.
+    # The flow is right everywhere, up to the rounding of the cache.
     assert method.summary.flow_all.epe_cm.value < 0.009
     assert method.summary.objects.translation_cm.value == pytest.approx(0, abs=1e-9)
-    # Seconds are measured, not taken from the method.
+    # Seconds are measured and not taken from the method.
     assert all(found.seconds < 60 for found in method.scores)
 
 
@@ -166,7 +166,7 @@ def test_what_is_cached_is_not_run_again(data: PairSet, tmp_path: Path) -> None:
     more = run(data, tmp_path, "moody", "moody:mood=raises")
     assert CALLS[2:] == [f"good {key}" for key in data.keys[2:]] + [f"raises {key}" for key in data.keys]
     assert (len(more.pairs), more.total) == (4, 4)
-    # A failure is tried again, and only that.
+    # Only failures are tried again.
     run(data, tmp_path, "moody", "moody:mood=raises")
     assert CALLS[8:] == ["raises test-000001"]
 
@@ -180,7 +180,7 @@ def test_a_broken_file_is_made_again(damage: str, data: PairSet, tmp_path: Path)
         path.unlink()
     else:
         path.write_bytes({"half": whole[: len(whole) // 2], "empty": b"", "text": b"no archive"}[damage])
-    # Scoring alone takes no notice of it but to count it.
+    # Scoring alone counts it as a failure.
     (scored,) = score(data, data.keys, parse_methods(["moody"]), tmp_path).methods
     assert [(one.key, one.reason) for one in scored.failures] == [("test-000002", NOT_CACHED)]
     CALLS.clear()
@@ -195,13 +195,13 @@ def test_other_settings_and_other_data_are_not_mixed(data: PairSet, tmp_path: Pa
         run(data, tmp_path, "m=moody:mood=slow", limit=1)
     with pytest.raises(ResultError, match='with method = "moody", now it is "zero"'):
         run(data, tmp_path, "m=zero", limit=1)
-    other = open_set(str(small_sets.write_pairs(tmp_path / "other", 4, seed=5)))
+    other = open_set(str(small_sets.write_box_pairs(tmp_path / "other", 4, seed=5)))
     with pytest.raises(ResultError, match="predictions of another data set"):
         run(other, tmp_path, "m=moody", limit=1)
     assert len(CALLS) == 1
 
 
-def test_methods_that_want_sequences_get_them(data: PairSet, tmp_path: Path) -> None:
+def test_methods_that_take_sequences_get_them(data: PairSet, tmp_path: Path) -> None:
     sequences = open_set(str(small_sets.write_sequences(tmp_path / "set")), sequences="paper")
     whole, moody = run(sequences, tmp_path / "out", "whole", "moody").methods
     assert CALLS == ["8 0 6", "8 0 6", "good test-000000/80", "good test-000001/80"]

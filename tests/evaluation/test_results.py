@@ -1,4 +1,4 @@
-"""The plain data of an evaluation: facts of a pair by hand, and JSON there and back."""
+"""The plain data of an evaluation: facts of a pair, computed by hand, and the JSON round trip."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.cameras import small_camera
+from helpers.truths import true_object
 from objectflow import geometry
 from objectflow.errors import DatasetError
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
+from objectflow.evaluation.data.truth import PairTruth, make_pair_truth
 from objectflow.evaluation.metrics.flow_metrics import FlowScore, PixelScore
 from objectflow.evaluation.metrics.object_metrics import ObjectError
 from objectflow.evaluation.metrics.pair_score import PairScore
@@ -20,23 +22,22 @@ from objectflow.evaluation.metrics.segmentation_metrics import PRF, ObjectMatch,
 from objectflow.evaluation.results import Evaluation, Failure, MethodResult, PairFacts, facts_of
 from objectflow.evaluation.tables.summary import summarise
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.camera import Camera
 
 NAN = math.nan
 
 
 def truth() -> PairTruth:
-    """Two objects of 4 and 2 pixels in an 8x6 image: one moves 3 cm and turns 90 degrees, one is in one frame only."""
-    camera = Camera(width=8, height=6, fx=8, fy=8, cx=4, cy=3)
+    """Two objects of 4 and 2 pixels in an 8x6 image; the first moves 3 cm and rotates by 90 degrees, the second is
+    visible in one frame only."""
     depth = np.ones((6, 8), np.float32)
-    frame = RgbdFrame(color=np.zeros((6, 8, 3), np.uint8), depth=depth, camera=camera)
+    frame = RgbdFrame(color=np.zeros((6, 8, 3), np.uint8), depth=depth, camera=small_camera(8, 6))
     labels = np.zeros((6, 8), np.int32)
     labels[1:3, 1:3], labels[4, 5:7] = 1, 2
     center, quarter = np.array([0.1, 0.2, 1.0]), geometry.so3_exp(np.array([0, 0, math.pi / 2]))
     moved = geometry.make_transform(quarter, center + np.array([0, 0, 0.03]) - quarter @ center)
     objects = [
-        TrueObject(1, center, moved, np.array([[0, 0, 1.0]]), (4,), in_both=True),
-        TrueObject(2, center, np.eye(4), np.empty((0, 3)), (), in_both=False, rotation_known=False),
+        true_object(1, center, moved, axes=(0, 0, 1), orders=(4,)),
+        true_object(2, center, in_both=False, rotation_known=False),
     ]
     return make_pair_truth("a", frame, labels, objects, scene="s")
 
@@ -49,7 +50,7 @@ def test_facts_of_a_pair() -> None:
     assert (first.displacement_cm, first.rotation_deg) == pytest.approx((3, 90))
     assert (second.pixels, second.symmetric, second.moving, second.in_both) == (2, False, False, False)
     assert math.isnan(second.rotation_deg)
-    # Means are those of the one object that both frames show.
+    # Means are over the object that is visible in both frames.
     assert (facts.displacement_cm, facts.rotation_deg) == pytest.approx((3, 90))
     assert (facts.visible_pixels, facts.symmetric_share) == (4, 1)
     assert math.isnan(PairFacts("b", "b", 8, 6, ()).displacement_cm)
@@ -58,7 +59,7 @@ def test_facts_of_a_pair() -> None:
 def test_regions_score_each_object_on_its_own_pixels() -> None:
     true = truth()
     predicted = true.scene_flow.copy()
-    predicted[1, 1, 0] += 0.04  # one of four pixels is 4 cm off: 1 cm on average
+    predicted[1, 1, 0] += 0.04  # an error of 4 cm at one of four pixels: 1 cm on average
     predicted[4, 5:7] = np.nan
     matched = score_regions(predicted, true, [ObjectMatch(1, 7, 0.8)])[0]
     assert (matched.label, matched.f) == (1, 0.8)
@@ -124,8 +125,8 @@ def broken(change: str) -> str:
         ("{}", "'format' is missing"),
         (broken("format"), "format is 99"),
         (broken("missing"), "'flow' is missing"),
-        (broken("type"), "expected int, not 'nine'"),
-        (broken("list"), "expected a list"),
+        (broken("type"), "total must be of type int, not 'nine'"),
+        (broken("list"), "pairs must be a list"),
     ],
 )
 def test_other_files_are_refused(text: str, message: str, tmp_path: Path) -> None:

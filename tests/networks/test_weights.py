@@ -1,4 +1,4 @@
-"""Weights on disk: what goes in comes out, and every wrong file is told from a right one in one line."""
+"""Weights on disk: exact round trips, and a one-line error for every kind of wrong file."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ import pytest
 import safetensors.torch
 import torch
 
-from helpers.small_networks import TINY_RIGID
+from helpers.small_networks import TINY, TINY_RIGID
 from objectflow.errors import MethodError, StorageError
-from objectflow.networks import NetworkSettings, SceneFlowNet
+from objectflow.methods.find_weights import packaged_folder
+from objectflow.networks import SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
 from objectflow.networks.weights import load_network, load_weights, read_header, save_weights
 
-TINY = dataclasses.replace(NetworkSettings().scaled(0.125), reach=1, trunk_blocks=(1, 1))
+PACKAGED, WEIGHTS = packaged_folder(), Path(__file__).parents[2] / "weights"
 METADATA = {"variant": "sceneflownet-c", "size": [48, 64], "metrics": {"epe": 0.0125, "f": None}, "seconds": 3.5}
 
 
@@ -54,7 +55,7 @@ def test_equal_weights_are_equal_bytes(saved: Path) -> None:
     assert other.read_bytes() == saved.read_bytes()
 
 
-def test_half_takes_half_the_room_and_loads_as_float32_near_the_original(saved: Path) -> None:
+def test_half_precision_is_half_the_size_and_loads_as_float32(saved: Path) -> None:
     original = network()
     original.color_encoder.trunk.bn1.running_var.fill_(1e6)  # type: ignore[union-attr]  # beyond float16
     small = saved.with_name("half.safetensors")
@@ -166,7 +167,25 @@ def test_nothing_is_left_where_saving_fails(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_no_tensor_depends_on_may_be_asked_for(tmp_path: Path) -> None:
+def test_a_retired_setting_is_accepted_with_its_implemented_value_only(saved: Path) -> None:
+    rewrite_header(lambda h: h["network"].update(missing="channel", correlation_mean=False))(saved)
+    assert load_weights(saved)[0].settings == TINY
+    rewrite_header(lambda h: h["network"].update(missing="masked"))(saved)
+    with pytest.raises(MethodError, match="missing is 'masked', which this version no longer implements") as caught:
+        load_weights(saved)
+    assert str(caught.value).startswith(f"{saved}: ")
+
+
+@pytest.mark.parametrize("path", [PACKAGED / "rigidmatch.safetensors", WEIGHTS / "sceneflownet-c-vl.safetensors"])
+def test_released_weights_are_read(path: Path) -> None:
+    if not path.is_file():
+        pytest.skip(f"{path} is not here")
+    network, metadata = load_network(path)
+    assert metadata["variant"] == path.stem
+    assert read_header(path)[0] == network.settings
+
+
+def test_fields_that_no_tensor_depends_on_may_be_overridden(tmp_path: Path) -> None:
     path = tmp_path / "weights.safetensors"
     save_weights(path, RigidMatch(TINY_RIGID), {})
     wanted = dataclasses.replace(TINY_RIGID, queries=TINY_RIGID.queries + 5, seed_radius=0.07)

@@ -1,4 +1,4 @@
-"""The loss figure, by its pixels."""
+"""The loss figure, tested by its pixels."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ def run_lines() -> list[dict[str, Any]]:
 
 
 def rows_of(image: UInt8Array, color: tuple[int, int, int], column: int) -> IndexArray:
-    """Rows below the legend that have a colour in a column."""
+    """The rows below the legend where a column has a given colour."""
     return np.flatnonzero((image[64:, column] == color).all(axis=-1)) + 64
 
 
 def test_a_straight_line_lies_where_its_numbers_say() -> None:
     image = panel([Series("a", RED, [(0.0, 0.0), (100.0, 50.0)])], "title")
     ends = [rows_of(image, RED, column).mean() for column in (150, 300, 450, 600)]
-    # Equal steps to the right are equal steps upward; the axis ends at 1.08 of the largest value.
+    # The slope is constant, and the axis ends at 1.08 of the largest value.
     np.testing.assert_allclose(np.diff(ends), np.diff(ends)[0], atol=1.0)
     slope = -np.diff(ends)[0] / 150
     plot_height, plot_width = HEIGHT - 66 - 74, WIDTH - 92 - 48
@@ -56,10 +56,10 @@ def test_training_falls_and_validation_lies_above() -> None:
     assert image.shape == (HEIGHT, 3 * WIDTH, 3)
     blue, red = rows_of(image, BLUE, 600), rows_of(image, RED, 600)
     assert red.max() < blue.min()
-    # In the second panel validation falls away from the level line of zero flow.
+    # In the second panel, the validation line falls below the constant line of zero flow.
     early, late = (rows_of(image, RED, WIDTH + column).mean() for column in (300, 700))
     assert early < late - 50
-    # The third shows one line: what is null in the metrics is left out.
+    # The third panel shows one line: null values of the metrics are left out.
     assert not (image[64:, 2 * WIDTH :] == BLUE).all(axis=-1).any()
 
 

@@ -1,4 +1,4 @@
-"""Batches carried ahead of time, without the device that they are carried to: order, errors, and an early end."""
+"""Prefetching of batches without a CUDA device: order, errors, and early termination."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from helpers.training_runs import write_set
 from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.errors import DatasetError
-from objectflow.training import prefetch
+from objectflow.training.prefetch import copied_ahead
 
 CPU = torch.device("cpu")
 
@@ -26,20 +26,20 @@ def batches(tmp_path_factory: pytest.TempPathFactory) -> list[Batch]:
 
 @pytest.fixture(autouse=True)
 def no_pinned_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory is pinned by CUDA's driver alone."""
+    """Only CUDA's driver pins memory."""
 
-    def stays(tensor: torch.Tensor) -> torch.Tensor:
+    def same(tensor: torch.Tensor) -> torch.Tensor:
         return tensor
 
-    monkeypatch.setattr(torch.Tensor, "pin_memory", stays)
+    monkeypatch.setattr(torch.Tensor, "pin_memory", same)
 
 
 def ahead(source: Iterator[Batch]) -> Generator[Batch, None, None]:
-    out: Any = prefetch._copied_ahead(source, CPU)
+    out: Any = copied_ahead(source, CPU)
     return out
 
 
-def test_they_come_in_order_with_all_that_they_hold(batches: list[Batch]) -> None:
+def test_batches_come_in_order_and_unchanged(batches: list[Batch]) -> None:
     feed = ahead(iter(batches))
     for expected, got in zip(batches, feed, strict=True):
         assert got.keys == expected.keys
@@ -47,7 +47,7 @@ def test_they_come_in_order_with_all_that_they_hold(batches: list[Batch]) -> Non
         assert torch.equal(got.table.label, expected.table.label)
 
 
-def test_an_error_comes_out_after_what_came_before_it(batches: list[Batch]) -> None:
+def test_an_error_is_raised_after_the_batches_before_it(batches: list[Batch]) -> None:
     def breaks() -> Iterator[Batch]:
         yield batches[0]
         raise DatasetError("row 7 is damaged")
@@ -70,7 +70,7 @@ def test_closing_ends_the_thread_and_the_batches(batches: list[Batch]) -> None:
 
     feed = ahead(endless())
     next(feed)
-    (thread,) = (one for one in threading.enumerate() if one.name == "batches")
+    (thread,) = (thread for thread in threading.enumerate() if thread.name == "batches")
     feed.close()
     assert closed.is_set()
     assert not thread.is_alive()

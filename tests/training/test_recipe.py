@@ -1,4 +1,4 @@
-"""Recipes: what they are, that every field can be replaced, and what they refuse."""
+"""Recipes: the paper's values, replacement of every field from the command line, and refused values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ import tyro
 from objectflow.cli.train import Train, default
 from objectflow.errors import TrainingError
 from objectflow.networks import SceneFlowNet
-from objectflow.training.recipe import RECIPES, Recipe, find_recipe
+from objectflow.networks.rigidmatch.settings import SMALL
+from objectflow.training.model_config import VARIANTS, RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.recipe import Recipe
+from objectflow.training.recipes import RECIPES, find_recipe
 
 
 def parse(*words: str) -> Train:
@@ -21,29 +24,59 @@ def parse(*words: str) -> Train:
     return tyro.cli(Train, args=typed, default=default(typed))
 
 
+def paper_model(name: str) -> SceneFlowNetConfig:
+    model = RECIPES[name].model
+    assert isinstance(model, SceneFlowNetConfig)
+    return model
+
+
 def test_the_papers_recipe() -> None:
     recipe = find_recipe("paper")
     assert (recipe.optimizer, recipe.learning_rate, recipe.betas) == ("adam", 1e-4, (0.9, 0.999))
     assert (recipe.batch_size, recipe.size, recipe.precision, recipe.schedule) == (12, (240, 320), "fp32", "constant")
     assert [recipe.learning_rate_at(share) for share in (0.0, 0.3, 1.0)] == [1e-4] * 3
-    loss = recipe.loss_settings
+    loss = paper_model("paper").loss
     assert (loss.rotation, loss.translation, loss.center, loss.flow, loss.radius, loss.trajectory) == (
         0.1, 100, 10, 10, 1, 1,
     )  # fmt: skip
     assert (loss.variance, loss.violation, loss.vl) == (0.1, 0.1, True)
-    assert recipe.network_settings.trunk_width == 64
+    assert paper_model("paper").network.trunk_width == 64
 
 
-def test_variants_decide_over_network_and_losses() -> None:
-    kinds = {name: dataclasses.replace(RECIPES["paper"], variant=name) for name in ("s", "c", "c-vl")}
-    assert [one.network_settings.correlation for one in kinds.values()] == [False, True, True]
-    assert [one.loss_settings.vl for one in kinds.values()] == [False, False, True]
-    assert [one.method for one in kinds.values()] == ["sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl"]
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_variant_chooses_the_network_and_its_losses(name: str) -> None:
+    models: dict[str, Any] = {variant: find_recipe(name, variant).model for variant in VARIANTS}
+    papers = [models[variant] for variant in ("s", "c", "c-vl")]
+    assert [model.network.correlation for model in papers] == [False, True, True]
+    assert [model.loss.vl for model in papers] == [False, False, True]
+    assert models["c-vl"] == RECIPES[name].model
+    # Nothing else differs.
+    assert [model.with_variant("c-vl") for model in papers] == [models["c-vl"]] * 3
+    assert models["rigidmatch"] == (RigidMatchConfig(SMALL) if name == "cpu" else RigidMatchConfig())
+    assert [model.method for model in models.values()] == [
+        "sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl", "rigidmatch",
+    ]  # fmt: skip
+    assert [model.variant for model in models.values()] == list(VARIANTS)
+
+
+def test_unknown_names_are_refused_with_the_choices() -> None:
+    with pytest.raises(TrainingError, match="unknown recipe 'tpu': choose one of paper, gpu, cpu"):
+        find_recipe("tpu")
+    with pytest.raises(TrainingError, match="unknown variant 'd': choose one of s, c, c-vl, rigidmatch"):
+        find_recipe("cpu", "d")
+    with pytest.raises(TrainingError, match="unknown variant 'd'"):
+        parse("--variant", "d")
+
+
+def test_variance_and_violation_need_correlation() -> None:
+    with pytest.raises(TrainingError, match=r"model\.loss\.vl must be off where model\.network\.correlation is"):
+        parse("--model.network.no-correlation")
+    assert parse("--model.network.no-correlation", "--model.loss.no-vl").settings == find_recipe("cpu", "s")
 
 
 def test_rotation_weight_is_one_for_losses_and_grouping() -> None:
-    recipe = parse("--loss.rotation-weight", "0.1").settings
-    assert recipe.grouping.rotation_weight == recipe.loss_settings.rotation_weight == 0.1
+    model: Any = parse("--model.loss.rotation-weight", "0.1").settings.model
+    assert model.grouping.rotation_weight == model.rotation_weight == model.loss.rotation_weight == 0.1
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -53,18 +86,34 @@ def test_every_field_can_be_replaced_from_the_command_line(name: str) -> None:
         "--recipe", name, "--variant", "s", "--size", "96", "128", "--steps", "7", "--minutes", "2.5", "--clip",
         "None", "--learning-rate", "0.003",
         "--betas", "0.8", "0.9", "--no-compile", "--channels-last", "--precision", "bf16",
-        "--network.reach", "4", "--network.down.1", "9", "8", "--network.trunk-norm", "frozen", "--loss.squared",
-        "--augment.zoom", "1.5", "--augment.strength", "0", "1",
-    ).settings  # fmt: skip
-    before = RECIPES[name]
-    down = (before.network.down[0], (9, 8), *before.network.down[2:])
-    assert typed == dataclasses.replace(
-        before, variant="s", size=(96, 128), steps=7, minutes=2.5, clip=None, learning_rate=0.003, betas=(0.8, 0.9),
+        "--model.network.reach", "4", "--model.network.down.1", "9", "8", "--model.network.trunk-norm", "frozen",
+        "--model.loss.squared", "--augment.zoom", "1.5", "--augment.strength", "0", "1",
+    )  # fmt: skip
+    before = find_recipe(name, "s")
+    network, loss = before.model.network, before.model.loss
+    down = (network.down[0], (9, 8), *network.down[2:])
+    assert typed.variant == "s"
+    assert typed.settings == dataclasses.replace(
+        before, size=(96, 128), steps=7, minutes=2.5, clip=None, learning_rate=0.003, betas=(0.8, 0.9),
         compile=False, channels_last=True, precision="bf16",
-        network=dataclasses.replace(before.network, reach=4, down=down, trunk_norm="frozen"),
-        loss=dataclasses.replace(before.loss, squared=True),
+        model=SceneFlowNetConfig(
+            dataclasses.replace(network, reach=4, down=down, trunk_norm="frozen"),
+            dataclasses.replace(loss, squared=True),
+        ),
         augment=dataclasses.replace(before.augment, zoom=1.5, strength=(0.0, 1.0)),
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_field_of_the_other_network_can_be_replaced_too(name: str) -> None:
+    before = find_recipe(name, "rigidmatch")
+    assert parse("--recipe", name, "--variant=rigidmatch").settings == before
+    words = ("--model.network.queries", "7", "--model.network.motion", "regress", "--model.loss.match", "3")
+    typed = parse("--variant", "rigidmatch", "--recipe", name, *words).settings
+    assert typed.model == RigidMatchConfig(
+        dataclasses.replace(before.model.network, queries=7, motion="regress"),
+        dataclasses.replace(before.model.loss, match=3.0),
+    )
 
 
 @pytest.mark.parametrize(
@@ -79,20 +128,20 @@ def test_every_field_can_be_replaced_from_the_command_line(name: str) -> None:
         ({"ema_decay": 1.0}, "ema_decay"),
         ({"betas": (0.9, 1.0)}, "betas"),
         ({"size": (4, 160)}, "size"),
-        ({"variant": "d"}, "variant"),
+        ({"optimizer": "sgd"}, "optimizer"),
         ({"precision": "fp16"}, "precision"),
     ],
 )
-def test_values_that_train_nothing_are_refused(changes: dict[str, Any], field: str) -> None:
+def test_values_that_cannot_train_are_refused(changes: dict[str, Any], field: str) -> None:
     with pytest.raises(TrainingError, match=f"recipe field {field} must"):
         dataclasses.replace(RECIPES["cpu"], **changes)
 
 
-def test_one_cycle_rises_in_a_line_and_falls_half_a_cosine() -> None:
+def test_one_cycle_rises_linearly_and_falls_as_half_a_cosine() -> None:
     recipe = dataclasses.replace(RECIPES["cpu"], learning_rate=2.0, schedule="one-cycle", warm_up=0.2)
     at = recipe.learning_rate_at
     assert (at(0.0), at(0.1), at(0.2)) == pytest.approx((0.1, 1.05, 2.0))
-    # Half way down, half way between the peak and a hundredth of it; a cosine is symmetric about that point.
+    # A cosine is symmetric about its midpoint, where the rate is halfway between the peak and a hundredth of it.
     assert at(0.6) == pytest.approx((2.0 + 0.02) / 2)
     assert at(0.4) + at(0.8) == pytest.approx(2.0 + 0.02)
     assert at(0.4) == pytest.approx(0.02 + 1.98 * (1 + math.sqrt(0.5)) / 2)
@@ -107,12 +156,19 @@ def test_length_in_steps_passes_or_minutes() -> None:
     assert dataclasses.replace(base, minutes=5.0, steps=30).total_steps(100) == 30
 
 
-def test_recipes_are_plain_json_and_networks_of_their_size() -> None:
-    for recipe in RECIPES.values():
-        assert json.loads(json.dumps(recipe.to_dict())) == recipe.to_dict()
-    count = {name: _parameters(RECIPES[name]) for name in ("paper", "cpu")}
+def test_recipes_are_plain_json_with_the_kind_of_network() -> None:
+    for name in RECIPES:
+        for variant in VARIANTS:
+            plain = find_recipe(name, variant).to_dict()
+            assert json.loads(json.dumps(plain)) == plain
+            assert plain["model"]["variant"] == variant
+            assert set(plain["model"]) == {"variant", "network", "loss"}
+
+
+def test_the_cpu_recipe_has_a_quarter_of_the_weights() -> None:
+    count = {name: _parameters(name) for name in ("paper", "cpu")}
     assert count["cpu"] < count["paper"] / 4
 
 
-def _parameters(recipe: Recipe) -> int:
-    return sum(one.numel() for one in SceneFlowNet(recipe.network_settings).parameters())
+def _parameters(name: str) -> int:
+    return sum(parameter.numel() for parameter in SceneFlowNet(paper_model(name).network).parameters())

@@ -1,4 +1,4 @@
-"""A run that was stopped or killed and continued is the run that was not."""
+"""A run that was stopped or killed and then resumed equals an uninterrupted one."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ import pytest
 import torch
 
 from helpers.paths import HELPERS_ON_PATH
-from helpers.training_runs import RECIPE, job, tensors_of, write_set
+from helpers.training_runs import RECIPE, checkpoint_tensors, job, write_set
 from objectflow.errors import TrainingError
 from objectflow.training.callbacks import Callback
 from objectflow.training.loop import train
 
 
 class StopAt(Callback):
-    """Sends this process the signal of a polite end."""
+    """Sends this process a signal after a step."""
 
     def __init__(self, step: int, number: int) -> None:
         self.step, self.number = step, number
@@ -41,7 +41,7 @@ def losses_of(run: Path) -> list[tuple[str, int, dict[str, float]]]:
 
 
 def assert_same(one: Path, other: Path) -> None:
-    left, right = tensors_of(one), tensors_of(other)
+    left, right = checkpoint_tensors(one), checkpoint_tensors(other)
     assert left.keys() == right.keys()
     assert [name for name in left if not torch.equal(left[name], right[name])] == []
     assert losses_of(one) == losses_of(other)
@@ -55,13 +55,13 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_twice_fifty_steps_are_a_hundred(data: Path, tmp_path: Path) -> None:
     recipe = dataclasses.replace(RECIPE, steps=100, validate_every=30, log_every=7)
     whole = train(job(data, tmp_path / "whole", recipe))
-    assert (whole.finished, whole.position.step, whole.signal) == (True, 100, 0)
-    # The signal comes after the look at step 49: with the next step, the run ends.
+    assert (whole.finished, whole.state.step, whole.signal) == (True, 100, 0)
+    # The signal arrives after step 49 is logged, so the run ends after the next step.
     first = train(job(data, tmp_path / "parts", recipe), StopAt(49, signal.SIGTERM))
-    assert (first.finished, first.position.step, first.signal) == (False, 50, signal.SIGTERM)
+    assert (first.finished, first.state.step, first.signal) == (False, 50, signal.SIGTERM)
     second = train(job(data, tmp_path / "parts", recipe, resume=True))
-    assert (second.finished, second.position.step) == (True, 100)
-    left, right = tensors_of(tmp_path / "whole"), tensors_of(tmp_path / "parts")
+    assert (second.finished, second.state.step) == (True, 100)
+    left, right = checkpoint_tensors(tmp_path / "whole"), checkpoint_tensors(tmp_path / "parts")
     assert left.keys() == right.keys()
     assert [name for name in left if not torch.equal(left[name], right[name])] == []
     validations = [
@@ -69,15 +69,15 @@ def test_twice_fifty_steps_are_a_hundred(data: Path, tmp_path: Path) -> None:
     ]
     assert validations[0] == validations[1]
     assert [step for _, step, _ in validations[0]] == [30, 60, 90, 100]
-    # A finished run has nothing to go on with.
+    # A finished run has nothing left to do.
     again = train(job(data, tmp_path / "parts", recipe, resume=True))
-    assert (again.finished, again.position.step) == (True, 100)
+    assert (again.finished, again.state.step) == (True, 100)
 
 
-def test_interrupt_ends_a_run_politely_too(data: Path, tmp_path: Path) -> None:
+def test_an_interrupt_ends_a_run_gracefully_too(data: Path, tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGINT)
     outcome = train(job(data, tmp_path / "run"), StopAt(5, signal.SIGINT))
-    assert (outcome.finished, outcome.position.step, outcome.signal) == (False, 6, signal.SIGINT)
+    assert (outcome.finished, outcome.state.step, outcome.signal) == (False, 6, signal.SIGINT)
     assert signal.getsignal(signal.SIGINT) == before
 
 
@@ -85,7 +85,7 @@ def test_killed_at_any_moment_and_resumed(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "killed"
     script = [sys.executable, "-m", "helpers.training_runs", "killed", str(data), str(out)]
     process = subprocess.Popen(script, env={**os.environ, **HELPERS_ON_PATH, "OMP_NUM_THREADS": "1"})
-    rng = np.random.default_rng(time.time_ns() % 2**32)  # any moment will do
+    rng = np.random.default_rng(time.time_ns() % 2**32)  # a random moment
     lines, wait = int(rng.integers(1, 12)), float(rng.uniform(0, 0.05))
     metrics, deadline = out / "metrics.jsonl", time.monotonic() + 100
     while not metrics.exists() or len(metrics.read_text().splitlines()) < lines:
@@ -133,13 +133,13 @@ def test_another_run_is_never_written_over(data: Path, tmp_path: Path) -> None:
         train(job(data, out, recipe))
     with pytest.raises(TrainingError, match=r"with recipe.learning_rate = 0.001, now it is 0.002"):
         train(job(data, out, dataclasses.replace(recipe, learning_rate=2e-3), resume=True))
-    other = dataclasses.replace(recipe, network=dataclasses.replace(recipe.network, reach=3))
-    with pytest.raises(TrainingError, match=r"with recipe.network.reach = 2, now it is 3"):
-        train(job(data, out, other, resume=True))
+    model = dataclasses.replace(recipe.model, network=dataclasses.replace(recipe.model.network, reach=3))
+    with pytest.raises(TrainingError, match=r"with recipe.model.network.reach = 2, now it is 3"):
+        train(job(data, out, dataclasses.replace(recipe, model=model), resume=True))
     with pytest.raises(TrainingError, match=r"with data.train = "):
         train(job(write_set(tmp_path / "other", pairs=9), out, recipe, resume=True))
     assert before == {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    # What changes no weight may change.
+    # Fields that do not affect the weights may change.
     train(job(data, out, dataclasses.replace(recipe, keep_checkpoints=5), resume=True))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "thesis.txt").write_text("years of work")

@@ -1,4 +1,4 @@
-"""The losses of `rigidmatch` against slow, obvious references; and that truth itself costs nothing."""
+"""The losses of `rigidmatch` against slow references, for the true result, and in the training loop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import itertools
 import math
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,19 +14,21 @@ import torch
 
 from helpers.pair_sets import random_pair, write_pairs
 from helpers.small_networks import TINY_RIGID
-from helpers.training_runs import RECIPE, job, tensors_of, write_set
+from helpers.training_runs import RIGID, checkpoint_tensors, job, write_set
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.batches import Batches
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
+from objectflow.networks.weights import read_header
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
+from objectflow.training.model_config import RigidMatchConfig
 from objectflow.training.recipe import Recipe
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_losses import (
     flow_term,
     match_term,
-    place_term,
+    position_term,
     rigidmatch_losses,
     vote_terms,
     window_term,
@@ -41,7 +42,7 @@ STRIDE = SETTINGS.stride
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
-    """Two pairs whose motions are small enough for matches to be seen."""
+    """Two pairs whose motions are small enough for matches to be visible."""
     rows = []
     for number in range(2):
         row = random_pair(number, objects=2)
@@ -58,7 +59,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
         rows.append(dataclasses.replace(row, prev_labels=blocks, curr_labels=blocks, objects=objects, **frames))
     shards = write_pairs(tmp_path_factory.mktemp("set"), rows)
     batch = next(Batches(shards, 2, size=None, seed=0, shuffle=False).iterate())
-    return prepare(batch, Recipe(augment=AugmentSettings.nothing(), variant="rigidmatch"), None)
+    return prepare(batch, Recipe(augment=AugmentSettings.nothing(), model=RigidMatchConfig()), None)
 
 
 @cache
@@ -73,12 +74,12 @@ def output_of(prepared: Prepared) -> RigidMatchOutput:
 
 
 def true_cells_of(prepared: Prepared, stride: int, b: int, row: int, column: int) -> tuple[str, dict[int, float]]:
-    """What a cell's match is, and its bilinear shares, by the definition."""
+    """The kind of a cell's match and its bilinear shares, by the definition."""
     if not torch.isfinite(prepared.points[b, 2, row * stride, column * stride]):
         return "unknown", {}
     x, y = (prepared.matches[b, :, row * stride, column * stride] / stride).tolist()
     if math.isnan(x):
-        return "hidden", {}
+        return "occluded", {}
     labels, before = (
         prepared.batch.curr_labels[b, ::stride, ::stride],
         prepared.batch.prev_labels[b, ::stride, ::stride],
@@ -106,7 +107,7 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
     for b, row, column in np.ndindex(2, own_height, own_width):
         kind, shares = true_cells_of(prepared, STRIDE, b, row, column)
         kinds.append(kind)
-        assert bool(truth.coarse.hidden[b, row, column]) == (kind == "hidden")
+        assert bool(truth.coarse.occluded[b, row, column]) == (kind == "occluded")
         pairs = zip(
             truth.coarse.cell[b, :, row, column].tolist(), truth.coarse.share[b, :, row, column].tolist(), strict=True
         )
@@ -115,7 +116,7 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
         weight = 1.0 if prepared.targets.mask[b, row * STRIDE, column * STRIDE] else 0.25
         at = row * width + column
         logits = torch.cat([output.scores[b, at], output.hidden[b, at : at + 1]]).log_softmax(0)
-        if kind == "hidden":
+        if kind == "occluded":
             top, bottom = top - weight * float(logits[-1]), bottom + weight
         elif shares:
             for cell, share in shares.items():
@@ -169,7 +170,7 @@ def test_the_assignment_is_the_cheapest_of_all() -> None:
     assert found[1] == -1
     best = min(
         itertools.permutations(range(5), 3),
-        key=lambda one: sum(float(costs[0, 0, q, k]) for q, k in zip(one, (0, 2, 3), strict=True)),
+        key=lambda queries: sum(float(costs[0, 0, q, k]) for q, k in zip(queries, (0, 2, 3), strict=True)),
     )
     assert (found[0], found[2], found[3]) == best
 
@@ -187,7 +188,7 @@ def test_the_flow_term_is_the_mean_of_objects_means(prepared: Prepared) -> None:
     for b, k in ((0, 0), (0, 1), (1, 0)):
         R, t = output.rotation[b, query[b, k]], output.translation[b, query[b, k]]
         errors = [
-            float((R @ truth.points[b, :, r, c] + t - truth.fine_place[b, :, r, c]).norm())
+            float((R @ truth.points[b, :, r, c] + t - truth.fine_position[b, :, r, c]).norm())
             for r, c in np.ndindex(*truth.owner.shape[1:])
             if truth.owner[b, r, c] == k and truth.measured[b, r, c]
         ]
@@ -200,18 +201,18 @@ def test_the_truth_costs_nothing(prepared: Prepared) -> None:
     made = output_of(prepared)
     height, width = truth.owner.shape[1:]
     made = made._replace(
-        match=truth.fine_place,
-        coarse_match=truth.coarse_place,
+        match=truth.fine_position,
+        coarse_match=truth.coarse_position,
         votes=truth.votes,
         rotation=torch.eye(3).expand_as(made.rotation),
         translation=prepared.batch.table.translation[:, [0, 1, 0, 0]],
     )
     assert (height, width) == (12, 16)
-    assert float(place_term(made, truth)) < 1e-5
+    assert float(position_term(made, truth)) < 1e-5
     assert float(vote_terms(made, truth)["votes"]) < 1e-5
     both = torch.ones(2, 2, dtype=torch.bool)
     assert float(flow_term(made, truth, torch.tensor([[0, 1], [0, 1]]), both)) < 1e-5
-    assert truth.moves.all()
+    assert truth.moving.all()
 
 
 def test_all_terms_are_finite_and_weighted_into_the_total(prepared: Prepared) -> None:
@@ -221,20 +222,18 @@ def test_all_terms_are_finite_and_weighted_into_the_total(prepared: Prepared) ->
     weighted = sum(getattr(settings, name) * float(value) for name, value in losses.items() if name != "total")
     assert float(losses["total"].detach()) == pytest.approx(weighted, rel=1e-5)
     losses["total"].backward()  # type: ignore[no-untyped-call]
-    assert [name for name, one in learner.named_parameters() if one.grad is None] == []
-    assert all(bool(one.grad.isfinite().all()) for one in learner.parameters() if one.grad is not None)
+    gradients = {name: parameter.grad for name, parameter in learner.named_parameters()}
+    assert [name for name, gradient in gradients.items() if gradient is None or not gradient.isfinite().all()] == []
 
 
-def test_a_weight_that_is_none_is_refused() -> None:
+def test_a_weight_that_is_not_finite_is_refused() -> None:
     with pytest.raises(MethodError, match="loss setting flow must be finite and >= 0, not nan"):
         RigidMatchLossSettings(flow=math.nan)
 
 
-def test_the_loop_trains_stops_and_goes_on_bit_for_bit(tmp_path: Path) -> None:
+def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tmp_path: Path) -> None:
     data = write_set(tmp_path / "set")
-    recipe: Any = dataclasses.replace(
-        RECIPE, variant="rigidmatch", rigid=SETTINGS, steps=4, validate_every=4, log_every=1, checkpoint_minutes=0.0
-    )
+    recipe = dataclasses.replace(RIGID, steps=4, validate_every=4, log_every=1, checkpoint_minutes=0.0)
     train(job(data, tmp_path / "whole", recipe))
     parts = tmp_path / "parts"
     train(job(data, parts, recipe))
@@ -243,6 +242,9 @@ def test_the_loop_trains_stops_and_goes_on_bit_for_bit(tmp_path: Path) -> None:
         file.unlink()
     newest.rmdir()
     train(job(data, parts, recipe, resume=True))
-    left, right = tensors_of(tmp_path / "whole"), tensors_of(parts)
+    left, right = checkpoint_tensors(tmp_path / "whole"), checkpoint_tensors(parts)
     assert left.keys() == right.keys()
     assert [name for name in left if not torch.equal(left[name], right[name])] == []
+    _, metadata = read_header(parts / "weights.safetensors")
+    assert (metadata["variant"], metadata["size"]) == ("rigidmatch", [24, 32])
+    assert metadata["recipe"]["model"]["network"] == SETTINGS.to_dict()

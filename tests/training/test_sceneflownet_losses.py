@@ -1,4 +1,4 @@
-"""The losses against a slow loop over pixels and objects in NumPy, and their behaviour at the edges."""
+"""The losses against a slow loop over pixels and objects in NumPy, and in edge cases."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from helpers.object_tables import object_table
 from objectflow.dataset.targets import ObjectTable, Targets, make_targets
 from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
@@ -27,11 +28,11 @@ WEIGHTS = {
     "variance": 0.1,
     "violation": 0.1,
 }
-"""Of the paper, section V, written out a second time."""
+"""The paper's weights (section V), independent of the defaults."""
 
 
 def a_batch(rotation_weight: float = 0.0) -> tuple[Targets, torch.Tensor, ObjectTable]:
-    """Two pairs with three objects and one, and one without; a tenth of the depth missing."""
+    """Three pairs with three objects, one, and none; a tenth of the depth is missing."""
     generator = torch.Generator().manual_seed(0)
     label = torch.tensor([[1, 4, 5], [2, 0, 0], [0, 0, 0]])
     table = ObjectTable(
@@ -50,7 +51,7 @@ def a_batch(rotation_weight: float = 0.0) -> tuple[Targets, torch.Tensor, Object
 
 
 def some_output(spread: float = 0.1) -> SceneFlowNetOutput:
-    """Noise about nothing, so that some pixels violate their sphere and some do not."""
+    """Noise around 0, so that some pixels violate their sphere and some do not."""
     generator = torch.Generator().manual_seed(1)
     channels = (3, 3, 3, 2, 2, 1)
     return SceneFlowNetOutput(*(torch.randn(3, c, *SHAPE, generator=generator) * spread for c in channels))
@@ -71,7 +72,7 @@ def near_truth(targets: Targets, spread: float) -> SceneFlowNetOutput:
 def reference(
     output: SceneFlowNetOutput, targets: Targets, points: torch.Tensor, *, squared: bool, rotation_weight: float = 0.0
 ) -> dict[str, float]:
-    """The terms, pixel by pixel and object by object in float64."""
+    """The terms, computed per pixel and per object in float64."""
     maps = {name: value.double().numpy() for name, value in output._asdict().items()}
     truth = {field.name: getattr(targets, field.name).numpy() for field in dataclasses.fields(targets)}
     P = points.double().numpy()
@@ -139,7 +140,7 @@ def test_only_far_pixels_violate() -> None:
     exact = near_truth(targets, 0.0)
     reach = targets.radius / 5
     for factor, expected in ((0.99, 0.0), (1.01, None)):
-        # Both X and X + T move along x by the same amount: sqrt(2) of it in xi.
+        # X and X + T move along x by the same amount, which is sqrt(2) of it in xi.
         shift = torch.cat([factor * reach / 2**0.5, torch.zeros(3, 2, *SHAPE)], 1)
         found = float(sceneflownet_losses(exact._replace(center=exact.center + shift), targets, points)["violation"])
         mean = sum(float((1.01 * reach[b, 0] * targets.mask[b]).sum() / targets.mask[b].sum()) for b in range(2))
@@ -167,7 +168,7 @@ def test_background_teaches_the_mask_alone() -> None:
 
 
 def test_no_foreground_at_all() -> None:
-    table = ObjectTable.from_rows([[], []])
+    table = object_table([[], []])
     points = torch.full((2, 3, *SHAPE), torch.nan)
     targets = make_targets(table, torch.zeros(2, *SHAPE, dtype=torch.int64), points)
     output = SceneFlowNetOutput(*(one[:2].requires_grad_() for one in some_output()))
@@ -178,7 +179,7 @@ def test_no_foreground_at_all() -> None:
 
 
 def test_the_mean_of_two_halves_is_the_whole() -> None:
-    """What distributed training needs: pairs with different numbers of pixels and objects, none in the last."""
+    """As distributed training requires, for pairs with different numbers of pixels and objects; the last has none."""
     targets, points, _ = a_batch()
     output = some_output()
     parts = []

@@ -1,4 +1,4 @@
-"""The match loss against a loop over cells, and what it asks of the correlation."""
+"""The match loss against a loop over cells, and its gradient."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SIDE = 2 * REACH + 1
 
 
 def slow(correlation: torch.Tensor, matches: torch.Tensor, inside: torch.Tensor) -> float:
-    """Cell by cell, neighbour by neighbour."""
+    """The definition, cell by cell and neighbour by neighbour."""
     pairs = []
     for b in range(len(correlation)):
         losses = []
@@ -47,8 +47,8 @@ def some(seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     grid = torch.stack(torch.meshgrid(torch.arange(size[1]), torch.arange(size[0]), indexing="xy"))
     matches = grid + shift
     matches[:, :, 8, 8] = torch.nan
-    matches[0, :, 0, 0] = 0.0  # exactly its own cell
-    matches[0, :, 0, 8] = torch.tensor([8.0 + 8 * REACH, 8 * REACH])  # the patch's last corner
+    matches[0, :, 0, 0] = 0.0  # exactly the same cell
+    matches[0, :, 0, 8] = torch.tensor([8.0 + 8 * REACH, 8 * REACH])  # the last corner of the patch
     inside = torch.rand(3, *size, generator=generator) < 0.7
     inside[0, 0, 0] = inside[0, 0, 8] = inside[0, 8, 8] = True
     inside[2] = False

@@ -1,4 +1,4 @@
-"""`objectflow evaluate`: methods on a set with truth: tables, and a report to look at."""
+"""`objectflow evaluate`: run methods on a set with known truth; write tables and a report."""
 
 from __future__ import annotations
 
@@ -35,46 +35,46 @@ EXAMPLES = """\
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Run methods on pairs with truth and print the paper's two tables with their rows beside the paper's own.
+    """Run methods on pairs with truth and print the paper's two tables, with the rows of the paper for comparison.
 
-    Predictions are cached in predictions/<method>/<pair>.npz and scored from there: the same command continues a run
-    that was cut off, and further methods or pairs may be added to it. Writes tables.md, tables.csv, tables.json,
+    Predictions are cached in predictions/<method>/<pair>.npz and scored from there: the same command continues an
+    interrupted run, and further methods or pairs can be added to it. Writes tables.md, tables.csv, tables.json,
     results.json and report.html.
     """
 
     data: Annotated[str, option("DIR|tiny|real:DIR")]
-    """A generated set; the set of 16 pairs that comes with the package; or pair folders with a truth.npz each."""
+    """A generated set; "tiny", the packaged set of 16 pairs; or a folder of pair folders with a truth.npz each."""
 
     methods: Annotated[tuple[str, ...], option("METHOD...")]
     """NAME, NAME:OPTION=VALUE,OPTION=VALUE or LABEL=NAME:...; `objectflow methods` lists the names. oracle-masks and
-    oracle-motion see the truth and are marked."""
+    oracle-motion are given the truth and are marked in the tables."""
 
     split: str = "test"
-    """Of a generated set."""
+    """Split of a generated set."""
 
     sequences: bool = False
-    """Take frames 20 and 80 of the set's sequences (the paper's TestSeq); methods that want all frames get them."""
+    """Use frames 20 and 80 of the set's sequences (the paper's TestSeq); methods for sequences get all frames."""
 
     consecutive: bool = False
-    """Take every two frames that follow each other in the set's sequences."""
+    """Use all pairs of consecutive frames of the set's sequences."""
 
     limit: Annotated[int | None, option("N", "all")] = None
-    """Only the first pairs."""
+    """Number of pairs, from the start of the set."""
 
     camera: Literal["auto", "static", "moving"] = "auto"
-    """What methods are told of the camera; METHOD:camera=... says it to one."""
+    """The camera option of all methods; METHOD:camera=... sets it for one method."""
 
     sensor: Annotated[str | None, option("NAME", "exact frames")] = None
-    """Show a generated set as a depth camera has it: structured-light, time-of-flight, stereo or passive-stereo."""
+    """Add the noise of a camera to a generated set: structured-light, time-of-flight, stereo or passive-stereo."""
 
     translation_only: Annotated[tuple[str, ...], option("NAME...", "none")] = ()
-    """Real objects whose true rotation is not known well enough to be scored."""
+    """Names of real objects whose true rotation is too inaccurate for scoring."""
 
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out, named after the set")] = None
-    """Output folder: new, empty, or an earlier evaluation's."""
+    """Output folder: new, empty, or that of an earlier evaluation."""
 
     workers: int = 1
-    """Estimates at a time. Those that run side by side take longer each: time methods with 1."""
+    """Number of parallel estimates. Each takes longer if several run in parallel: measure runtimes with 1."""
 
     ray: Annotated[str | None, option("ADDRESS", "this machine")] = None
     """Address of a Ray cluster ("auto", "host:6379"), or "local"; --workers is then the number of actors."""
@@ -83,7 +83,7 @@ class Evaluate:
     """Write report.html."""
 
     def run(self) -> None:
-        """Predict what is missing, score, print, write."""
+        """Make missing predictions, score them, and print and write the tables."""
         specs = parse_methods(self.methods, camera=self.camera)
         pairs: PairSet = open_set(
             self.data, split=self.split, sequences=self._sequences(), translation_only=self.translation_only
@@ -119,7 +119,7 @@ class Evaluate:
 
     def _sequences(self) -> SequenceUse:
         if self.sequences and self.consecutive:
-            raise DatasetError("--sequences and --consecutive are two ways to take pairs: give one of them")
+            raise DatasetError("--sequences and --consecutive exclude each other: give one of them")
         return "paper" if self.sequences else "consecutive" if self.consecutive else "none"
 
     def _limit(self) -> int | None:
@@ -135,16 +135,16 @@ def _folder_name(data: str, pairs: PairSet) -> str:
 
 
 def _check_folder(out: Path) -> None:
-    """Only a folder of an earlier evaluation may be written into."""
+    """Check that the output folder is new, empty, or that of an earlier evaluation."""
     check_not_below_a_file(out)
     if out.exists() and not out.is_dir():
         raise ResultError(f"{out} is a file, not a folder: name another output folder")
     if out.is_dir() and any(out.iterdir()) and not (out / FOLDER).is_dir():
-        raise ResultError(f"{out} exists and is no earlier evaluation: name another output folder")
+        raise ResultError(f"{out} exists and is not an earlier evaluation: name another output folder")
 
 
 def _check_scored(evaluation: Evaluation) -> None:
-    """A set on which everything failed has no tables."""
+    """Raise an error if every method failed on every pair, since there are no tables then."""
     if not any(method.scores for method in evaluation.methods):
         first = evaluation.methods[0].failures[0]
         raise MethodError(

@@ -1,4 +1,4 @@
-"""`objectflow export`: a network for other programs."""
+"""`objectflow export`: a network as a file for other programs."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ EXAMPLES = """\
 
 @dataclass(frozen=True, kw_only=True)
 class Export:
-    """Write the network of some weights as an ONNX file of one input size, compared with torch by numbers."""
+    """Write a network as an ONNX file with a fixed input size, verified against torch."""
 
     out: Annotated[Path, option("FILE")]
-    """File to write; it appears only if its numbers are torch's."""
+    """File to write; it is only written if its results agree with torch's."""
 
     weights: Annotated[str | None, option("FILE|DIR|hf://OWNER/NAME", "the released ones")] = None
     """Weights of a learned method."""
 
     method: Annotated[str, option("NAME")] = "sceneflownet-c-vl"
-    """Whose weights, where they are not named by a file."""
+    """Method whose weights are exported, if --weights names no file."""
 
-    size: Annotated[tuple[int, int] | None, option("H W", "what the weights were trained at")] = None
-    """Height and width of the frames that the file will take."""
+    size: Annotated[tuple[int, int] | None, option("H W", "the size of training")] = None
+    """Height and width of the frames that the exported network takes."""
 
     format: Literal["onnx"] = "onnx"
-    """The kind of file."""
+    """File format."""
 
     def run(self) -> None:
-        """Load, export, compare, write."""
+        """Load the weights, export the network, verify it, and write the file."""
         from objectflow.methods.find_weights import find_weights
         from objectflow.methods.network_io import trained_size
         from objectflow.networks.export import OPSET, export_onnx

@@ -1,4 +1,4 @@
-"""`objectflow train`: train a network by a recipe; continued exactly where it was stopped."""
+"""`objectflow train`: train a network by a recipe; a stopped run is continued exactly."""
 
 from __future__ import annotations
 
@@ -14,14 +14,17 @@ import tyro
 from objectflow.cli.arguments import option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file
 from objectflow.errors import TrainingError
-from objectflow.training.recipe import RECIPES, Recipe, find_recipe
+from objectflow.training.model_config import Variant
+from objectflow.training.recipe import Recipe
+from objectflow.training.recipes import RECIPES, find_recipe
 
 EXAMPLES = """\
   objectflow train --recipe cpu --data data --out runs/c-vl
   objectflow train --recipe cpu --data data --out runs/c-vl --resume
   objectflow train --recipe gpu --data data --variant s --passes 12 --batch-size 64
-  objectflow train --recipe gpu --data data --network.reach 8 --loss.squared --augment.zoom 1.5
-  objectflow train --recipe gpu --data data --also wild --variant rigidmatch --out runs/rigidmatch
+  objectflow train --recipe gpu --data data --model.network.reach 8 --model.loss.squared --augment.zoom 1.5
+  objectflow train --recipe gpu --data data --extra-data clutter --variant rigidmatch --out runs/rigidmatch
+  objectflow train --variant rigidmatch --help       # the options of that network
   torchrun --nproc-per-node 4 -m objectflow train --recipe gpu --data data --out runs/c-vl
 """
 
@@ -31,46 +34,49 @@ class Train:
     """Train a network on generated pairs.
 
     Writes settings.json, metrics.jsonl, loss_curve.png, checkpoints and weights.safetensors (the best by validation).
-    Ctrl-C or SIGTERM finish the step and save; the same command with --resume goes on as if nothing had happened.
-    Every field of the recipe is an option; the defaults shown are the recipe's own.
+    Ctrl-C or SIGTERM finish the step and save a checkpoint; the same command with --resume continues the run exactly.
+    Every field of the recipe is an option; the defaults shown are those of the chosen --recipe and --variant.
     """
 
     data: Annotated[Path, option("DIR")]
     """Data set from `objectflow generate`, with the split train, and val for validation."""
 
-    also: Annotated[tuple[Path, ...], option("DIR [DIR ...]", "")] = ()
-    """More data sets: pairs of their split train are mixed in, each as often as any other. Validation stays with
-    --data."""
+    extra_data: Annotated[tuple[Path, ...], option("DIR [DIR ...]", "")] = ()
+    """More data sets, whose pairs of the split train are mixed in with equal weight. Validation uses --data alone."""
 
     recipe: Annotated[str, option("NAME", "cpu")] = "cpu"
     """paper, gpu or cpu."""
+
+    variant: Variant = "c-vl"
+    """The network and its losses, which are the --model options. s: the paper's network without correlation; c: with
+    correlation; c-vl: c with variance and violation losses; rigidmatch: the network of the method rigidmatch."""
 
     out: Annotated[Path | None, option("DIR", "objectflow_out/train-VARIANT-RECIPE")] = None
     """Folder of the run, new or empty; with --resume, that of the same run."""
 
     resume: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Go on from the last checkpoint in --out; start anew if there is none."""
+    """Continue from the last checkpoint in --out; start anew if there is none."""
 
     device: str = "auto"
     """auto, cpu, cuda or cuda:N."""
 
     backbone_weights: Annotated[Path | None, option("FILE")] = None
-    """torchvision's resnet50 state dict for the colour trunk (network.trunk-width 64, network.trunk-blocks 3 4)."""
+    """torchvision's resnet50 state dict for the colour trunk (model.network.trunk-width 64, trunk-blocks 3 4)."""
 
     start_from: Annotated[Path | None, option("FILE")] = None
     """Weights of an earlier run of the same network to start from."""
 
-    settings: Annotated[Recipe, tyro.conf.arg(name="")] = RECIPES["cpu"]
+    settings: Annotated[Recipe, tyro.conf.arg(name=""), tyro.conf.AvoidSubcommands] = RECIPES["cpu"]
 
     def run(self) -> None:
-        """Train, and say how it went on."""
-        from objectflow.training.callbacks import Several, TensorBoard, Terminal
-        from objectflow.training.loop import TrainJob, train
+        """Train, and print the result or the command that continues the run."""
+        from objectflow.training.callbacks import CallbackList, TensorBoard, Terminal
+        from objectflow.training.job import TrainJob
+        from objectflow.training.loop import train
         from objectflow.training.parallel import is_first
         from objectflow.training.run_folder import WEIGHTS
 
-        find_recipe(self.recipe)
-        out = self.out or OUTPUT_ROOT / f"train-{self.settings.variant}-{self.recipe}"
+        out = self.out or OUTPUT_ROOT / f"train-{self.settings.model.variant}-{self.recipe}"
         check_not_below_a_file(out)
         if out.exists() and not out.is_dir():
             raise TrainingError(f"{out} is a file, not a folder: name another --out")
@@ -79,33 +85,41 @@ class Train:
             recipe=self.settings,
             data=self.data,
             out=out,
-            also=self.also,
+            extra_data=self.extra_data,
             resume=self.resume,
             device=self.device,
             backbone=self.backbone_weights,
             start=self.start_from,
         )
-        outcome = train(job, Several(Terminal(), TensorBoard(out / "tensorboard")) if is_first() else None)
+        outcome = train(job, CallbackList(Terminal(), TensorBoard(out / "tensorboard")) if is_first() else None)
         if not is_first():
             return
         if outcome.finished:
-            print(f"{outcome.position.step} steps, {outcome.position.seconds:.0f} s; weights: {out / WEIGHTS}")
+            print(f"{outcome.state.step} steps, {outcome.state.seconds:.0f} s; weights: {out / WEIGHTS}")
             return
         words = [word for word in sys.argv[1:] if word != "--resume"]
-        print(f"stopped after step {outcome.position.step}; go on with: objectflow {shlex.join(words)} --resume")
+        print(f"stopped after step {outcome.state.step}; continue with: objectflow {shlex.join(words)} --resume")
         raise SystemExit(128 + outcome.signal)
 
 
 def default(words: Sequence[str]) -> Train:
-    """The arguments that are not typed, for the recipe that is: its fields show as the options' defaults.
+    """The arguments with the typed recipe and variant, whose fields become the defaults of the options.
 
     Raises:
-        TrainingError: an unknown recipe.
+        TrainingError: an unknown recipe or variant.
     """
-    name = "cpu"
+    recipe = _typed(words, "--recipe", "cpu")
+    variant = _typed(words, "--variant", "c-vl")
+    settings = find_recipe(recipe, variant)
+    return Train(data=tyro.MISSING, recipe=recipe, variant=settings.model.variant, settings=settings)
+
+
+def _typed(words: Sequence[str], name: str, default: str) -> str:
+    """The last typed value of an option."""
+    value = default
     for index, word in enumerate(words):
-        if word == "--recipe" and index + 1 < len(words):
-            name = words[index + 1]
-        elif word.startswith("--recipe="):
-            name = word.removeprefix("--recipe=")
-    return Train(data=tyro.MISSING, recipe=name, settings=find_recipe(name))
+        if word == name and index + 1 < len(words):
+            value = words[index + 1]
+        elif word.startswith(f"{name}="):
+            value = word.removeprefix(f"{name}=")
+    return value

@@ -1,1 +1,1 @@
-"""Scores: flow, segmentation and object motions against the truth, pair by pair, then over a set."""
+"""Evaluation of methods on pairs with known truth: data, predictions, metrics and tables."""

@@ -1,38 +1,45 @@
-"""Predictions on disk: `predictions/<method>/<key>.npz`, `settings.json` beside them, failures as JSON.
+"""Predictions on disk: `predictions/<method>/<key>.npz`, with `settings.json` beside them and failures as JSON.
 
-`<key>.npz` holds `labels` ((H, W), 0 = background), `flow`, `seconds`, `cold` (whether it was a process's first, with
-imports and kernels to load), `machine`, the objects (`ids, pixels, scores, moving, centers, motions`) and, where the
-camera moved, `camera_motion`. `flow` is (3, H, W) int16: scene flow in steps of 0.1 mm, -32768 where there is none, as
-differences to the pixel on the left (modulo 65536), which is a fifth of the size of float32; or (H, W, 3) float32
-metres where a flow is longer than int16 can say.
+`<key>.npz` holds `labels` ((H, W), 0 = background), `flow`, `seconds`, `cold` (whether it was the first of its
+process, which loads imports and kernels), `machine`, the objects (`ids, pixels, scores, moving, centers, motions`)
+and, where the camera moved, `camera_motion`. `flow` is (3, H, W) int16: scene flow in steps of 0.1 mm, -32768 where
+it is missing, as differences to the pixel on the left (modulo 65536), which takes a fifth of the space of float32;
+or (H, W, 3) float32 metres where a flow vector exceeds the range of int16.
 """
 
 from __future__ import annotations
 
-import fcntl
 import io
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.errors import DatasetError, ObjectflowError, ResultError, StorageError
+from objectflow.errors import DatasetError, ObjectflowError, ResultError
 from objectflow.evaluation.data.archives import BROKEN, read_archive
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.storage import files
+from objectflow.storage.locked_folder import FolderKind, is_unused, locked_folder, read_settings
 from objectflow.typing import Float32Array
 
-SETTINGS = "settings.json"
 STEP = 1e-4
-"""Metres. Rounding to it changes an end point error by 0.009 cm at most."""
-_NONE = np.iinfo(np.int16).min
-_LONGEST = 3.27
-"""Metres that int16 can say."""
+"""Metres: resolution of the stored flow. Rounding changes an end-point error by 0.009 cm at most."""
+PREDICTION_FOLDER = FolderKind(
+    error=ResultError,
+    content="predictions",
+    foreign="holds no predictions",
+    busy="another run is writing there",
+    target="output folder",
+)
+_MISSING = np.iinfo(np.int16).min
+_MAX_FLOW = 3.27
+"""Metres: largest flow component that int16 holds in units of `STEP`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +47,9 @@ class Prediction:
     """One cached result; `motion.seconds` was measured around the method's call.
 
     Attributes:
-        motion: with the flow as it was rounded.
-        cold: the first of its process.
-        machine: that it was made on.
+        motion: with the flow rounded to `STEP`.
+        cold: whether it was the first of its process.
+        machine: where it was computed.
     """
 
     motion: SceneMotion
@@ -51,11 +58,11 @@ class Prediction:
 
 
 def encode(motion: SceneMotion, *, cold: bool, machine: str) -> bytes:
-    """The bytes of a `.npz` file."""
+    """Encode a result as the bytes of a `.npz` file."""
     objects = motion.objects
     arrays: dict[str, Any] = {
         "labels": motion.labels.astype(np.min_scalar_type(int(motion.labels.max(initial=0)))),
-        "flow": _pack(motion.scene_flow),
+        "flow": pack_flow(motion.scene_flow),
         "seconds": np.float64(motion.seconds),
         "cold": np.bool_(cold),
         "machine": np.str_(machine),
@@ -74,10 +81,10 @@ def encode(motion: SceneMotion, *, cold: bool, machine: str) -> bytes:
 
 
 def read_prediction(path: Path) -> Prediction:
-    """Read one file.
+    """Read one `.npz` file.
 
     Raises:
-        DatasetError: it is not whole, or not of this form.
+        DatasetError: the file is incomplete or of another form.
     """
     arrays = read_archive(path)
     try:
@@ -88,7 +95,7 @@ def read_prediction(path: Path) -> Prediction:
         )
         motion = SceneMotion(
             labels=arrays["labels"].astype(np.int32),
-            scene_flow=_unpack(arrays["flow"]),
+            scene_flow=unpack_flow(arrays["flow"]),
             objects=objects,
             camera_motion=arrays.get("camera_motion"),
             seconds=float(arrays["seconds"]),
@@ -106,48 +113,28 @@ class MethodCache:
 
     @contextmanager
     def claim(self, settings: Mapping[str, Any]) -> Iterator[None]:
-        """Make the folder, or take up an earlier run's with the same settings; hold it for this process.
+        """Create the folder, or continue an earlier run with the same settings; see `locked_folder`.
 
         Raises:
-            ResultError: other settings, no cache at all, or another process writes there.
-            StorageError: the disk refused.
+            ResultError: other settings, a folder of something else, or another process writes there.
+            StorageError: reading or writing failed.
         """
-        if not self.folder.is_dir() or not any(self.folder.iterdir()):
-            with files.new_folder(self.folder) as folder:
-                files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-        self.check(settings)
-        try:
-            with open(self.folder / SETTINGS) as lock:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise ResultError(
-                        f"{self.folder}: another run is writing there: wait, or name another output folder"
-                    ) from None
-                for leftover in self.folder.glob(".*.tmp"):
-                    with suppress(OSError):
-                        leftover.unlink()
-                yield
-        except OSError as error:
-            raise StorageError(f"cannot write {self.folder}: {error.strerror or error}") from error
+        with locked_folder(self.folder, settings, PREDICTION_FOLDER, check=partial(self._check_same, settings)):
+            for leftover in self.folder.glob(".*.tmp"):
+                with suppress(OSError):
+                    leftover.unlink()
+            yield
 
     def check(self, settings: Mapping[str, Any]) -> None:
-        """Check that predictions with these settings may be added to what is there, if anything is.
+        """Check that predictions with these settings may be added to those in the folder.
 
         Raises:
             ResultError: other settings, or a folder of something else.
         """
-        path = self.folder / SETTINGS
-        if not self.folder.is_dir() or not any(self.folder.iterdir()):
-            return
-        try:
-            earlier = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise ResultError(f"{self.folder} exists and holds no predictions: name another output folder") from None
-        except (OSError, ValueError) as error:
-            raise ResultError(f"{path}: cannot be read: {error}") from error
-        if not isinstance(earlier, dict):
-            raise ResultError(f"{path}: not the settings of predictions")
+        if not is_unused(self.folder):
+            self._check_same(settings, read_settings(self.folder, PREDICTION_FOLDER))
+
+    def _check_same(self, settings: Mapping[str, Any], earlier: Mapping[str, Any]) -> None:
         if earlier.get("sha256") != settings.get("sha256"):
             raise ResultError(
                 f"{self.folder} holds predictions of another data set (sha256 {str(earlier.get('sha256'))[:12]}, "
@@ -161,7 +148,7 @@ class MethodCache:
                 )
 
     def read(self, key: str) -> Prediction | None:
-        """The prediction of a pair; None where there is none that is whole."""
+        """The prediction of a pair; None where it is missing or incomplete."""
         path = self._path(key)
         if not path.is_file():
             return None
@@ -171,31 +158,31 @@ class MethodCache:
             return None
 
     def has(self, key: str) -> bool:
-        """Whether there is a prediction of this pair that is whole."""
+        """Whether there is a complete prediction of this pair."""
         return self.read(key) is not None
 
     def failure(self, key: str) -> str | None:
-        """Why the method failed on a pair; None where it did not, as far as is known."""
+        """The reason why the method failed on a pair; None where no failure is recorded."""
         try:
             return str(json.loads(self._failure_path(key).read_text(encoding="utf-8"))["reason"])
         except (OSError, ValueError, LookupError, TypeError):
             return None
 
     def write(self, key: str, data: bytes) -> None:
-        """Store what `encode` made; an earlier failure is forgotten.
+        """Store the bytes of `encode` and delete an earlier failure.
 
         Raises:
-            StorageError: the disk refused.
+            StorageError: reading or writing failed.
         """
         files.write_bytes(self._path(key), data)
         with suppress(FileNotFoundError):
             self._failure_path(key).unlink()
 
     def write_failure(self, key: str, reason: str) -> None:
-        """Store why the method failed, for the scores; the next run tries again.
+        """Record why the method failed, and delete an earlier prediction; the next run tries again.
 
         Raises:
-            StorageError: the disk refused.
+            StorageError: reading or writing failed.
         """
         with suppress(FileNotFoundError):
             self._path(key).unlink()
@@ -209,31 +196,37 @@ class MethodCache:
 
 
 def file_name(key: str) -> str:
-    """A key as part of a file's name: keys of sequences have a slash."""
+    """A key as part of a file name; keys of sequences contain a slash."""
     return key.replace("/", "_")
 
 
-def _pack(flow: Float32Array) -> NDArray[Any]:
+def pack_flow(flow: Float32Array) -> NDArray[Any]:
+    """(H, W, 3) scene flow in metres -> the stored form; pixels with any non-finite component become missing."""
     missing = ~np.isfinite(flow).all(axis=-1)
     known = flow.copy()
     known[missing] = 0
-    if np.abs(known).max(initial=0) > _LONGEST:
+    if np.abs(known).max(initial=0) > _MAX_FLOW:
         known[missing] = np.nan
         return known
     steps = np.rint(known / np.float32(STEP)).astype(np.int16)
-    steps[missing] = _NONE
+    steps[missing] = _MISSING
     planes = np.ascontiguousarray(steps.transpose(2, 0, 1))
-    return np.diff(planes, axis=2, prepend=np.int16(0))  # wraps around, and so does the sum that undoes it
+    return np.diff(planes, axis=2, prepend=np.int16(0))  # wraps around, as does the sum in `unpack_flow`
 
 
-def _unpack(packed: NDArray[Any]) -> Float32Array:
+def unpack_flow(packed: NDArray[Any]) -> Float32Array:
+    """The inverse of `pack_flow`, up to rounding to `STEP`; missing flow is NaN.
+
+    Raises:
+        ValueError: an array of another form.
+    """
     if packed.dtype == np.float32:
         return packed
     if packed.dtype != np.int16 or packed.ndim != 3:
         raise ValueError(f"its flow is {packed.shape} {packed.dtype}")
     steps = np.cumsum(packed, axis=2, dtype=np.int16).transpose(1, 2, 0)
     flow = steps.astype(np.float32) * np.float32(STEP)
-    flow[steps == _NONE] = np.nan
+    flow[steps == _MISSING] = np.nan
     return np.ascontiguousarray(flow)
 
 

@@ -1,4 +1,4 @@
-"""Which methods to evaluate, as they are named on the command line; the oracles among them see the truth."""
+"""The methods to evaluate, as named on the command line; the oracles among them are given the truth."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from objectflow.evaluation.oracles.oracle_masks import OracleMasks
 from objectflow.evaluation.oracles.oracle_motion import OracleMotion
 from objectflow.frame import RgbdFrame
 from objectflow.methods.base import Estimator, check_camera_option
-from objectflow.methods.moving_camera import MovingCamera
-from objectflow.methods.registry import METHODS, load
+from objectflow.methods.registry import METHODS, find_class, load
 from objectflow.motion import SceneMotion
 from objectflow.storage.files import hash_file
 from objectflow.storage.serialize import to_plain
@@ -30,7 +29,7 @@ ORACLES: dict[str, str] = {
 
 @runtime_checkable
 class SequenceEstimator(Protocol):
-    """An estimator that can use more than two frames; where a set has sequences, it is given them."""
+    """An estimator that can use more than two frames; it gets whole sequences if the set has any."""
 
     def estimate_in_sequence(self, frames: Sequence[RgbdFrame], prev: int, curr: int) -> SceneMotion:
         """The motion from `frames[curr]` back to `frames[prev]`, on the pixels of `frames[curr]`."""
@@ -43,9 +42,9 @@ class MethodSpec:
 
     Attributes:
         label: its name in the tables.
-        name: of `METHODS` or `ORACLES`.
-        options: given to it.
-        settings: every option with its value, defaults included; files by their hash.
+        name: in `METHODS` or `ORACLES`.
+        options: given on the command line.
+        settings: every option with its value, including defaults; files by their hash.
     """
 
     label: str
@@ -55,16 +54,16 @@ class MethodSpec:
 
     @property
     def oracle(self) -> bool:
-        """Whether it sees the truth."""
+        """Whether the method is given the truth."""
         return self.name in ORACLES
 
     @property
     def folder(self) -> str:
-        """The label as a folder's name."""
+        """The label as the name of a folder."""
         return re.sub(r"[^\w.=,+-]", "_", self.label)
 
     def make(self, truth: PairTruth | None = None) -> Estimator:
-        """The estimator; an oracle needs the truth of its pair.
+        """Make the estimator; an oracle needs the truth of its pair.
 
         Raises:
             ObjectflowError: the method cannot be made.
@@ -73,14 +72,14 @@ class MethodSpec:
 
 
 def parse_methods(texts: Sequence[str], *, camera: str = "auto") -> list[MethodSpec]:
-    """Read `name`, `name:option=value,option=value` or `label=name:...`; each method is made once, to be sure it can.
+    """Parse `name`, `name:option=value,option=value` or `label=name:...`, and make each method once as a check.
 
     Args:
-        texts: one a method.
-        camera: given to every method that does not name its own.
+        texts: one per method.
+        camera: for every method without a camera option of its own.
 
     Raises:
-        MethodError: no methods, one that is not known, an option it does not have, or two of one label.
+        MethodError: no methods, an unknown one, an unknown option, or two methods with one label.
         ObjectflowError: a method that cannot be made.
     """
     if not texts:
@@ -94,7 +93,7 @@ def parse_methods(texts: Sequence[str], *, camera: str = "auto") -> list[MethodS
 
 
 def parse_method(text: str, *, camera: str = "auto") -> MethodSpec:
-    """Read one method; see `parse_methods`."""
+    """Parse one method; see `parse_methods`."""
     head, _, tail = text.partition(":")
     label, equals, name = head.rpartition("=")
     if equals and not label.strip():
@@ -107,7 +106,7 @@ def parse_method(text: str, *, camera: str = "auto") -> MethodSpec:
         if not equals or not key:
             raise MethodError(f"{text!r}: options are written NAME:OPTION=VALUE,OPTION=VALUE, not {word!r}")
         options[key] = _value(value)
-    if name != "oracle-motion":
+    if camera != "auto" and _knows_camera(name):
         options.setdefault("camera", camera)
     try:
         made = _make(name, options, None)
@@ -115,6 +114,13 @@ def parse_method(text: str, *, camera: str = "auto") -> MethodSpec:
         raise MethodError(f"{text!r}: an option has a value that the method cannot use: {error}") from error
     shown = {key: value for key, value in options.items() if (key, value) != ("camera", "auto")}
     return MethodSpec(label.strip() or text, name, shown, _settings(made, options))
+
+
+def _knows_camera(name: str) -> bool:
+    """Whether a method has the setting `camera`; `zero` and `dense-flow` do the same for any camera."""
+    if name in ORACLES:
+        return name == "oracle-masks"
+    return any(field.name == "camera" for field in dataclasses.fields(cast(Any, find_class(name))))
 
 
 def _make(name: str, options: Mapping[str, Any], truth: PairTruth | None) -> Estimator:
@@ -134,18 +140,16 @@ _TRUTH_FIELDS = frozenset({"labels", "truth", "background_prev_T_curr", "setting
 
 
 def _settings(made: object, options: Mapping[str, Any]) -> dict[str, Any]:
-    """What a prediction depends on: every field that can be given, as JSON."""
+    """Everything that a prediction depends on: every option of the method, as plain JSON."""
     values = dict(options)
-    if isinstance(made, MovingCamera):
-        # The method's own fields, and what it is told of the camera from outside.
-        return {**_settings(made.estimator, options), "camera": made.camera}
     if dataclasses.is_dataclass(made) and not isinstance(made, type):
         fields = [field.name for field in dataclasses.fields(made) if field.init and field.name not in _TRUTH_FIELDS]
         values = {name: getattr(made, name) for name in fields}
-    return {name: _recorded(value) for name, value in values.items()}
+    return {name: recorded(value) for name, value in values.items()}
 
 
-def _recorded(value: Any) -> Any:
+def recorded(value: Any) -> Any:
+    """A value of an option as plain JSON: files by name and hash, other objects by their `repr`."""
     if isinstance(value, (str, Path)) and Path(value).is_file():
         return {"file": Path(value).name, "sha256": hash_file(Path(value))}
     plain = to_plain(value)
@@ -157,7 +161,7 @@ def _recorded(value: Any) -> Any:
 
 
 def _value(text: str) -> Any:
-    """A number, true, false or null as JSON has them; anything else is text."""
+    """A number, true, false or null in JSON notation; anything else is text."""
     try:
         value = json.loads(text)
     except ValueError:

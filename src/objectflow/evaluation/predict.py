@@ -1,4 +1,4 @@
-"""First pass: run every method on every pair and cache what it says. Only oracles are ever given the truth."""
+"""First pass of an evaluation: run every method on every pair and cache the results. Only oracles get the truth."""
 
 from __future__ import annotations
 
@@ -21,19 +21,22 @@ from objectflow.evaluation.runtime import machine_name
 from objectflow.frame import RgbdFrame
 from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
-from objectflow.runtime.make_pool import Workers, check_workers
+from objectflow.runtime.make_pool import check_workers, make_pool
+from objectflow.runtime.pool import Pool
 
 FOLDER = "predictions"
+"""Name of the folder of cached predictions."""
+
 FORMAT = 1
-"""Of the cached files."""
+"""Version of the cached files."""
 
 SEQUENCES = ("sequences", "consecutive")
-"""Kinds of sets whose pairs have a window."""
+"""Kinds of sets whose pairs are part of a sequence."""
 
 
 @dataclass(frozen=True, eq=False)
 class PredictionJob:
-    """One method on one pair. `truth` is there for oracles alone, `window` for methods that take sequences."""
+    """One method on one pair; `truth` is set only for oracles, `window` only for methods that take sequences."""
 
     method: int
     key: str
@@ -44,8 +47,8 @@ class PredictionJob:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The bytes of a cached file, or why there are none."""
+class PredictionResult:
+    """The bytes of a cached file, or the reason why the method failed."""
 
     key: str
     data: bytes | None
@@ -54,7 +57,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class PredictionProgress:
-    """How far a pass is: `done` of `total` rows of the method `label`, `failed` of them in vain."""
+    """Progress of a pass: `done` of `total` pairs of the method `label`, `failed` of them without a result."""
 
     label: str
     done: int
@@ -74,28 +77,28 @@ def predict(
 ) -> None:
     """Cache the predictions that `out/predictions` does not hold yet.
 
-    Rows on which a method failed are tried again; one more failure is recorded, counted and stops nothing.
+    Pairs on which a method failed are tried again; a failure is recorded and counted, and the pass continues.
 
     Args:
         pairs: the set.
-        keys: the pairs to be run.
-        methods: what to run.
-        out: where `predictions` is, or will be.
-        workers: processes, or Ray actors. Estimates that run side by side take longer each.
-        ray: see `Workers`.
-        report: told after every row.
+        keys: of the pairs to run.
+        methods: to run.
+        out: the folder of `predictions`.
+        workers: number of processes or Ray actors. Each estimate takes longer if several run in parallel.
+        ray: see `make_pool`.
+        report: called after every pair.
 
     Raises:
         MethodError: fewer than one worker.
-        ResultError: cached predictions were made with other settings or from other data.
+        ResultError: cached predictions of other settings or other data.
         DatasetError: a pair that cannot be read, or a worker that died.
-        StorageError: the disk refused.
+        StorageError: a file cannot be written.
     """
     check_workers(workers)
     caches = [MethodCache(out / FOLDER / spec.folder) for spec in methods]
-    for spec, cache in zip(methods, caches, strict=True):  # before hours of work for the first of them
+    for spec, cache in zip(methods, caches, strict=True):  # all of them before hours of work on the first
         cache.check(settings_of(spec, pairs))
-    pool: Workers | None = None
+    pool: Pool[PredictionJob, PredictionResult] | None = None
     try:
         for number, (spec, cache) in enumerate(zip(methods, caches, strict=True)):
             with cache.claim(settings_of(spec, pairs)):
@@ -104,13 +107,13 @@ def predict(
                 report(PredictionProgress(spec.label, done, len(keys), failed))
                 if not todo:
                     continue
-                pool = pool or Workers(PredictorFactory(tuple(methods), workers, ray is not None), workers, ray)
-                for answer in pool.run(_jobs(pairs, todo, number, spec)):
-                    if answer.data is None:
-                        cache.write_failure(answer.key, answer.reason)
+                pool = pool or make_pool(PredictorFactory(tuple(methods), workers, ray is not None), workers, ray)
+                for result in pool.run(_jobs(pairs, todo, number, spec)):
+                    if result.data is None:
+                        cache.write_failure(result.key, result.reason)
                         failed += 1
                     else:
-                        cache.write(answer.key, answer.data)
+                        cache.write(result.key, result.data)
                     done += 1
                     report(PredictionProgress(spec.label, done, len(keys), failed))
     finally:
@@ -119,7 +122,7 @@ def predict(
 
 
 def settings_of(spec: MethodSpec, pairs: PairSet) -> dict[str, Any]:
-    """Everything that a prediction depends on."""
+    """Everything that a prediction depends on, as plain JSON."""
     return {
         "method": spec.name,
         "label": spec.label,
@@ -142,14 +145,14 @@ def _jobs(pairs: PairSet, keys: Sequence[str], number: int, spec: MethodSpec) ->
 
 @dataclass(frozen=True)
 class PredictorFactory:
-    """Makes a worker's `Predictor`; each of several workers on one machine gets its share of the cores."""
+    """Makes the `Predictor` of a worker; several workers on one machine share its cores."""
 
     methods: tuple[MethodSpec, ...]
     workers: int = 1
     ray: bool = False
 
     def __call__(self) -> Predictor:
-        """Called once in each worker."""
+        """Make the predictor; called once in each worker."""
         if self.workers > 1 or self.ray:
             _limit_threads(1 if self.ray else max(1, _cores() // self.workers))
         machine = machine_name()
@@ -157,28 +160,28 @@ class PredictorFactory:
 
 
 class Predictor:
-    """Runs jobs; keeps each method's estimator from pair to pair."""
+    """Runs jobs, and keeps the estimator of each method between pairs."""
 
     def __init__(self, methods: tuple[MethodSpec, ...], machine: str) -> None:
         self._methods, self._machine = methods, machine
         self._estimators: dict[int, Estimator] = {}
         self._warm: set[int] = set()
 
-    def __call__(self, job: PredictionJob) -> Answer:
-        """One prediction; whatever a method raises becomes the reason of its failure."""
+    def __call__(self, job: PredictionJob) -> PredictionResult:
+        """Make one prediction; an exception of the method becomes the reason of its failure."""
         try:
             estimator = self._estimator(job)
             start = time.perf_counter()
             motion = _run(estimator, job)
             seconds = time.perf_counter() - start
             _check(motion, job.curr)
-        except Exception as error:  # methods may raise anything; one row of one method must not end the others
+        except Exception as error:  # methods may raise anything, which must not stop the other pairs and methods
             reason = str(error) if isinstance(error, ObjectflowError) else f"{type(error).__name__}: {error}"
-            return Answer(job.key, None, " ".join(reason.split())[:300])
+            return PredictionResult(job.key, None, " ".join(reason.split())[:300])
         cold = job.method not in self._warm
         self._warm.add(job.method)
         timed = dataclasses.replace(motion, seconds=seconds)
-        return Answer(job.key, encode(timed, cold=cold, machine=self._machine))
+        return PredictionResult(job.key, encode(timed, cold=cold, machine=self._machine))
 
     def _estimator(self, job: PredictionJob) -> Estimator:
         if job.truth is not None:

@@ -1,4 +1,4 @@
-"""What `objectflow evaluate` found, as plain data: the tables and the report are made from it."""
+"""The results of `objectflow evaluate` as plain data, from which the tables and the report are made."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from objectflow.storage import files
 from objectflow.storage.serialize import from_plain, to_plain
 from objectflow.typing import Float64Array
 
-FORMAT = 2
-"""Of `results.json`. Another one is refused, not guessed at."""
+FORMAT = 3
+"""Version of `results.json`; other versions are refused."""
 
 
 @dataclass(frozen=True, eq=False)
 class EvaluationPair:
-    """The frames of one pair and what is true of them."""
+    """The frames of one pair and their truth."""
 
     prev: RgbdFrame
     curr: RgbdFrame
@@ -36,33 +36,33 @@ class EvaluationPair:
 
 
 class PairSource(Protocol):
-    """Pictures behind the numbers: frames, truth and cached predictions, read from disk when they are asked for."""
+    """Frames, truth and cached predictions of an evaluation, read from disk on request."""
 
     def pair(self, key: str) -> EvaluationPair:
         """The pair of this key.
 
         Raises:
-            DatasetError: there is none, or it cannot be read.
+            DatasetError: no such pair, or one that cannot be read.
         """
         ...
 
     def prediction(self, label: str, key: str) -> SceneMotion | None:
-        """What the method of this label (`MethodResult.label`) made of the pair; None where it failed."""
+        """The result of the method with this label (`MethodResult.label`) for the pair; None if it failed."""
         ...
 
 
 @dataclass(frozen=True)
 class ObjectFacts:
-    """What is true of one object, whatever a method makes of it.
+    """True properties of one object, independent of any method.
 
     Attributes:
         label: in the true labels of the current frame.
-        pixels: that show it in the current frame.
-        displacement_cm: of its centre, against the camera.
-        rotation_deg: of its motion, reduced by symmetry; NaN where only the translation is known.
+        pixels: number of its pixels in the current frame.
+        displacement_cm: of its centre, in the camera frame.
+        rotation_deg: of its motion, reduced by symmetry; NaN if only the translation is known.
         symmetric: whether it has a symmetry axis.
-        moving: against the background.
-        in_both: visible in both frames; only such objects are in the masked columns.
+        moving: whether it moves relative to the background.
+        in_both: whether it is visible in both frames; only such objects are in the masked columns.
     """
 
     label: int
@@ -76,7 +76,7 @@ class ObjectFacts:
 
 @dataclass(frozen=True)
 class PairFacts:
-    """What is true of one pair: the breakdowns sort by it. `objects` are those visible in the current frame."""
+    """True properties of one pair, for the breakdowns; `objects` are those visible in the current frame."""
 
     key: str
     scene: str
@@ -86,27 +86,27 @@ class PairFacts:
 
     @property
     def number(self) -> int:
-        """How many objects the current frame shows."""
+        """Number of objects visible in the current frame."""
         return len(self.objects)
 
     @property
     def displacement_cm(self) -> float:
-        """Mean over the objects visible in both frames; NaN without any."""
+        """Mean over the objects visible in both frames; NaN if there are none."""
         return self._mean(lambda obj: obj.displacement_cm)
 
     @property
     def rotation_deg(self) -> float:
-        """Mean over the objects visible in both frames whose rotation is known; NaN without any."""
+        """Mean over the objects visible in both frames whose rotation is known; NaN if there are none."""
         return self._mean(lambda obj: obj.rotation_deg)
 
     @property
     def visible_pixels(self) -> float:
-        """Mean pixels of the objects visible in both frames; NaN without any."""
+        """Mean number of pixels of the objects visible in both frames; NaN if there are none."""
         return self._mean(lambda obj: obj.pixels)
 
     @property
     def symmetric_share(self) -> float:
-        """0..1, of the objects visible in both frames; NaN without any."""
+        """Share of symmetric objects among those visible in both frames, 0..1; NaN if there are none."""
         return self._mean(lambda obj: obj.symmetric)
 
     def _mean(self, of: Callable[[ObjectFacts], float]) -> float:
@@ -117,7 +117,7 @@ class PairFacts:
 
 @dataclass(frozen=True)
 class Failure:
-    """A pair on which a method failed, and what it said, in one line."""
+    """A pair on which a method failed, and the reason in one line."""
 
     key: str
     reason: str
@@ -125,13 +125,13 @@ class Failure:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """All that is known of one method on the set.
+    """The results of one method on the set.
 
     Attributes:
-        label: its name in the tables; unique in an evaluation.
-        method: its name in `objectflow methods`, or of an oracle.
-        options: that were asked for.
-        oracle: it saw the truth, so it is no competitor.
+        label: its name in the tables, unique in an evaluation.
+        method: its name in `objectflow methods`, or that of an oracle.
+        options: the options given to it.
+        oracle: whether it is given the truth and thus not a competitor.
         summary: of `scores`; None if every pair failed.
         failures: pairs without a score, in the set's order.
         scores: in the set's order.
@@ -146,25 +146,25 @@ class MethodResult:
     scores: tuple[PairScore, ...]
 
     def score(self, key: str) -> PairScore | None:
-        """The score of one pair; None where the method failed."""
+        """The score of one pair; None if the method failed."""
         return next((score for score in self.scores if score.key == key), None)
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Methods on one set of pairs.
+    """Results of methods on one set of pairs.
 
     Attributes:
-        data: the set's name, without a path: "tiny", or the folder's own name.
-        kind: "pairs" or "sequences" of a generated set (frames 20 and 80 of each, as the paper has it), "consecutive"
-            (all consecutive frames of its sequences), or "real" (pair folders).
+        data: the set's name, without a path: "tiny", or the name of the folder.
+        kind: "pairs" or "sequences" of a generated set (frames 20 and 80 of each sequence, as in the paper),
+            "consecutive" (all consecutive frames of its sequences), or "real" (pair folders).
         split: of a generated set, otherwise "".
         sha256: of the set's content.
-        total: pairs in the whole set, of which `pairs` are the first.
-        machine: where the scores were taken; each method's own is in `summary.runtime.machine`.
+        total: number of pairs in the whole set, of which `pairs` are the first.
+        machine: where the scores were computed; that of each method is in `summary.runtime.machine`.
         version: of objectflow.
-        pairs: that were evaluated, in order.
-        methods: in the order in which they were named.
+        pairs: the evaluated pairs, in order.
+        methods: in the order in which they were given.
     """
 
     data: str
@@ -181,12 +181,12 @@ class Evaluation:
         """The method of this label.
 
         Raises:
-            KeyError: there is none.
+            KeyError: no such method.
         """
         return {method.label: method for method in self.methods}[label]
 
     def to_json(self) -> str:
-        """As JSON; NaN becomes null."""
+        """The evaluation as JSON; NaN becomes null."""
         return json.dumps({"format": FORMAT, **to_plain(self)}, separators=(",", ":"), allow_nan=False) + "\n"
 
     @classmethod
@@ -194,7 +194,7 @@ class Evaluation:
         """The inverse of `to_json`.
 
         Raises:
-            DatasetError: it is not what `to_json` writes; the message starts with `where`.
+            DatasetError: text that `to_json` did not write; the message starts with `where`.
         """
         try:
             values = json.loads(text)
@@ -207,20 +207,20 @@ class Evaluation:
             raise DatasetError(f"{where}: not the results of an evaluation: {error}") from error
 
     def write(self, path: Path) -> None:
-        """Write `results.json`, whole.
+        """Write `results.json` atomically.
 
         Raises:
-            StorageError: the disk refused.
+            StorageError: the file cannot be written.
         """
         files.write_text(path, self.to_json())
 
     @classmethod
     def read(cls, path: Path) -> Evaluation:
-        """Read what `write` wrote.
+        """Read a file of `write`.
 
         Raises:
-            DatasetError: no such file, or not one of `write`.
-            StorageError: the disk refused.
+            DatasetError: no such file, or another kind of file.
+            StorageError: the file cannot be read.
         """
         try:
             text = path.read_text(encoding="utf-8")
@@ -234,7 +234,7 @@ class Evaluation:
 
 
 def facts_of(truth: PairTruth) -> PairFacts:
-    """What the breakdowns need of a truth."""
+    """The true properties of a pair that the breakdowns need."""
     height, width = truth.labels.shape
     pixels = np.bincount(truth.labels.ravel())
     return PairFacts(

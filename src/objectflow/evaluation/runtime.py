@@ -1,4 +1,4 @@
-"""Seconds a pair, and on what machine."""
+"""Runtime: seconds per pair, and the machine."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Runtime:
-    """What a method's estimates took, pre-processing and grouping included.
+    """The runtime of a method's estimates, including pre-processing and grouping.
 
     Attributes:
-        median, p95: seconds a pair, after the warm-up; NaN of no pairs.
-        pairs: how many are counted.
-        warm_up: how many before them are not.
-        machine: what it ran on.
+        median, p95: seconds per pair, after the warm-up; NaN without pairs.
+        pairs: number of pairs included.
+        warm_up: number of pairs before them that are excluded.
+        machine: where the method ran.
     """
 
     median: float
@@ -30,12 +30,12 @@ class Runtime:
 
 
 def summarise_runtime(seconds: Sequence[float], *, warm_up: int = 1, machine: str | None = None) -> Runtime:
-    """Summarise seconds in the order in which the pairs were run.
+    """Summarise the seconds of pairs, in the order in which they were run.
 
     Args:
-        seconds: one a pair.
-        warm_up: leave out so many at the start (imports, kernels, caches), unless nothing would be left.
-        machine: this one where None.
+        seconds: of each pair.
+        warm_up: number of pairs to exclude at the start (imports, kernels, caches), unless none would remain.
+        machine: this machine if None.
     """
     skipped = min(warm_up, max(0, len(seconds) - 1))
     counted = np.asarray(seconds[skipped:], dtype=np.float64)
@@ -44,7 +44,7 @@ def summarise_runtime(seconds: Sequence[float], *, warm_up: int = 1, machine: st
 
 
 def machine_name() -> str:
-    """The processor's name and how many of its cores this process may use, "Intel Xeon, 2 cores, Linux"."""
+    """The processor and the number of its cores that this process may use: "Intel Xeon, 2 cores, Linux"."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return f"{_processor()}, {usable} core{'' if usable == 1 else 's'}, {platform.system()}"
 

@@ -1,4 +1,4 @@
-"""Second pass: score what is cached, and nothing else."""
+"""Second pass of an evaluation: score the cached predictions."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from objectflow.evaluation.tables.summary import Summary, summarise
 from objectflow.motion import SceneMotion
 
 SEED = 0
-"""Of the bootstrap: the same predictions give the same intervals."""
+"""Seed of the bootstrap, so that the same predictions give the same intervals."""
 
 NOT_CACHED = "no cached prediction that can be read"
+"""Reason of a failure that no method reported."""
 
 
 class CachedPairs:
@@ -43,8 +44,8 @@ class CachedPairs:
         return None if found is None else found.motion
 
 
-class _Tally:
-    """What one method's predictions come to, pair by pair."""
+class _MethodScorer:
+    """Collects the scores of one method's predictions, pair by pair."""
 
     def __init__(self, spec: MethodSpec, cache: MethodCache) -> None:
         self._spec, self._cache = spec, cache
@@ -59,7 +60,7 @@ class _Tally:
             self._failures.append(Failure(key, self._cache.failure(key) or NOT_CACHED))
             return
         self._scores.append(score_pair(found.motion, pair.truth))
-        self._note_time(found)
+        self._add_time(found)
 
     def result(self) -> MethodResult:
         return MethodResult(
@@ -72,7 +73,7 @@ class _Tally:
             scores=tuple(self._scores),
         )
 
-    def _note_time(self, found: Prediction) -> None:
+    def _add_time(self, found: Prediction) -> None:
         self._machines[found.machine] = None
         if not found.cold:
             self._warm.append(found.motion.seconds)
@@ -97,23 +98,23 @@ def score(
 
     Args:
         pairs: the set.
-        keys: the pairs to be scored.
-        methods: in the tables' order.
-        out: the folder that `predict` filled.
-        report: told how many pairs are scored.
+        keys: of the pairs to score.
+        methods: in the order of the tables.
+        out: the output folder of `predict`.
+        report: called with the number of pairs scored so far.
 
     Raises:
         DatasetError: no pairs, or one that cannot be read.
     """
     if not keys:
         raise DatasetError(f"{pairs.data}: no pairs to evaluate")
-    tallies = [_Tally(spec, MethodCache(out / FOLDER / spec.folder)) for spec in methods]
+    scorers = [_MethodScorer(spec, MethodCache(out / FOLDER / spec.folder)) for spec in methods]
     facts = []
     for number, key in enumerate(keys, start=1):
         pair = pairs.pair(key)
         facts.append(facts_of(pair.truth))
-        for tally in tallies:
-            tally.add(key, pair)
+        for scorer in scorers:
+            scorer.add(key, pair)
         report(number)
     return Evaluation(
         data=pairs.data,
@@ -124,5 +125,5 @@ def score(
         machine=machine_name(),
         version=__version__,
         pairs=tuple(facts),
-        methods=tuple(tally.result() for tally in tallies),
+        methods=tuple(scorer.result() for scorer in scorers),
     )

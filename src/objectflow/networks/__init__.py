@@ -1,4 +1,4 @@
-"""The paper's networks as pure torch modules: no data set, no NumPy, no files but weights."""
+"""The networks as pure torch modules: no data set, no NumPy, and no files except weights."""
 
 from objectflow.networks.sceneflownet.backbone import load_backbone
 from objectflow.networks.sceneflownet.network import SceneFlowNet

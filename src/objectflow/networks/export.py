@@ -1,4 +1,4 @@
-"""A network as an ONNX file of one input size, compared with torch before it is written."""
+"""Export of a network to an ONNX file with a fixed input size, verified against torch before it is written."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from objectflow.storage import files
 OPSET = 17
 INPUTS = ("prev_color", "prev_points", "curr_color", "curr_points")
 TOLERANCE = 1e-4
-"""Largest difference from torch, as a share of a map's largest value. Sums in another order differ by less."""
+"""Largest allowed difference from torch, relative to a map's largest value; reordered sums differ by less."""
 
 
 def export_onnx(
     path: str | Path, network: Network, size: tuple[int, int], metadata: Mapping[str, Any] | None = None
 ) -> dict[str, float]:
-    """Write a network for frames of one size, whole or not at all.
+    """Write a network for frames of one size, atomically.
 
-    The graph has the four inputs of `SceneFlowNet.forward` (1, 3, H, W), NaN where depth is missing, and the six maps
-    of `SceneFlowNetOutput` as outputs, all by name; for a `RigidMatch` those of `ExportableRigidMatch`, since ONNX has
-    no singular value decomposition. The graph's metadata holds, as JSON under "objectflow", the network's settings,
-    the size and `metadata`.
+    The graph has the four inputs of `SceneFlowNet.forward`, (1, 3, H, W) with NaN where depth is missing, and the six
+    maps of `SceneFlowNetOutput` as outputs, all by name. A `RigidMatch` has the outputs of `ExportableRigidMatch`,
+    since ONNX has no singular value decomposition. The graph's metadata holds, as JSON under "objectflow", the
+    network's settings, the size and `metadata`.
 
     Args:
-        path: of the file; one that exists is replaced.
-        network: any, in any mode; it is left as it is.
+        path: of the file; an existing one is replaced.
+        network: in any mode, which it keeps.
         size: (H, W).
-        metadata: what is known about the weights.
+        metadata: of the weights.
 
     Returns:
-        The largest difference between onnxruntime and torch of each map, as a share of the map's largest value.
+        The largest difference between onnxruntime and torch for each map, relative to the map's largest value.
 
     Raises:
         MissingExtraError: onnx or onnxruntime is missing.
-        MethodError: a size that no image has, or a graph that says something else than torch.
-        StorageError: the disk refused.
+        MethodError: a size below 8x8, or a graph whose results differ from torch's.
+        StorageError: the file cannot be written.
     """
     path = Path(path)
     try:
@@ -62,11 +62,11 @@ def export_onnx(
     data, expected = _trace(network, frames)
     model = onnx.load_model_from_string(data)
     onnx.checker.check_model(model)
-    about = {"network": network.settings.to_dict(), "size": list(size), "metadata": dict(metadata or {})}
-    onnx.helper.set_model_props(model, {"objectflow": json.dumps(about, sort_keys=True)})
+    description = {"network": network.settings.to_dict(), "size": list(size), "metadata": dict(metadata or {})}
+    onnx.helper.set_model_props(model, {"objectflow": json.dumps(description, sort_keys=True)})
     data = model.SerializeToString()
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3  # errors only: its warnings are about its own optimiser
+    options.log_severity_level = 3  # errors only: the warnings concern onnxruntime's optimiser
     session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     found = session.run(list(expected), {name: frames[name].numpy() for name in INPUTS})
     differences = _compare(path, dict(zip(expected, found, strict=True)), expected)
@@ -75,14 +75,14 @@ def export_onnx(
 
 
 def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
-    """The graph, and what torch makes of the same frames."""
+    """The graph, and torch's results for the same frames."""
     training, device = network.training, next(network.parameters()).device
     form = network if isinstance(network, SceneFlowNet) else ExportableRigidMatch(network)
     names = SceneFlowNetOutput._fields if isinstance(network, SceneFlowNet) else ExportableRigidMatch.OUTPUTS
     try:
         network.eval().cpu()
         with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
-            warnings.simplefilter("ignore")  # of tracing: sizes are fixed here, and that is what is wanted
+            warnings.simplefilter("ignore")  # tracing warns about fixed sizes, which are intended
             expected = dict(zip(names, form(*frames.values()), strict=True))
             torch.onnx.export(
                 form,
@@ -91,7 +91,7 @@ def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str
                 input_names=list(INPUTS),
                 output_names=list(names),
                 opset_version=OPSET,
-                # The other exporter needs one more library and minutes for the 441 displacements.
+                # The dynamo exporter needs another library, and minutes for the 441 displacements.
                 dynamo=False,
             )
             data = (Path(folder) / "network.onnx").read_bytes()
@@ -101,7 +101,7 @@ def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str
 
 
 def _frames(size: tuple[int, int]) -> dict[str, Tensor]:
-    """Noise about a table's distance, with holes: every path through the network is taken."""
+    """Noise at a table's distance, with holes, so that every branch of the network is executed."""
     generator = torch.Generator().manual_seed(0)
     frames = {}
     for name in INPUTS:
@@ -117,7 +117,7 @@ def _compare(path: Path, found: dict[str, NDArray[Any]], expected: dict[str, Ten
     for name, value in expected.items():
         true = value.numpy()
         share = float(np.abs(found[name] - true).max() / max(np.abs(true).max(), 1e-6))
-        if not share <= TOLERANCE:  # written so that NaN fails too
+        if not share <= TOLERANCE:  # NaN fails this comparison too
             raise MethodError(f"{path}: not written: {name} differs from torch by {share:.1e} of its largest value")
         differences[name] = share
     return differences

@@ -1,4 +1,4 @@
-"""Weights on disk: safetensors whose header says which network they fill and where they come from. No pickle."""
+"""Weights on disk: safetensors whose header describes the network and the origin of the weights. No pickle."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import safetensors
 import safetensors.torch
@@ -23,29 +23,30 @@ Network = SceneFlowNet | RigidMatch
 Settings = NetworkSettings | RigidMatchSettings
 
 _KEY = "objectflow"
-"""The header's one entry, JSON: safetensors keeps several in no fixed order, and equal weights make equal bytes."""
+"""The only entry of the header, as JSON: safetensors stores several entries in no fixed order, and equal weights must
+give equal bytes."""
 _VERSION = 1
 _KINDS: dict[str, type[NetworkSettings] | type[RigidMatchSettings]] = {
     "sceneflownet": NetworkSettings,
     "rigidmatch": RigidMatchSettings,
 }
-"""What a header's "kind" can be; one without is of the first."""
+"""Values of "kind" in a header; a header without it is of the first kind."""
 
 
 def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any], *, half: bool = False) -> None:
-    """Write a network whole or not at all.
+    """Write a network atomically.
 
     Args:
-        path: of the file; one that exists is replaced.
-        network: without wrappers such as `torch.compile`'s or DDP's. Its settings go into the header.
-        metadata: whatever JSON can hold. Estimators read `variant` (the method's name), `size` ([H, W] of training)
-            and `grouping` (fields of `GroupingSettings`); `recipe`, `data` (the data set's hash) and `metrics` are
-            for people.
-        half: store matrices and filters as float16, for shipping; vectors, such as running variances, stay.
+        path: of the file; an existing one is replaced.
+        network: without wrappers such as `torch.compile`'s or DDP's. Its settings are stored in the header.
+        metadata: anything that JSON can represent. Estimators read `variant` (the method's name), `size` ([H, W] of
+            training) and `grouping` (fields of `GroupingSettings`); `recipe`, `data` (the data set's hash) and
+            `metrics` are for documentation.
+        half: store matrices and filters as float16, for shipping; vectors, such as running variances, keep their type.
 
     Raises:
-        MethodError: a weight beyond float16's range, or metadata that JSON cannot hold.
-        StorageError: the disk refused.
+        MethodError: a weight beyond float16's range, or metadata that JSON cannot represent.
+        StorageError: the file cannot be written.
     """
     path = Path(path)
     tensors: dict[str, Tensor] = {}
@@ -57,10 +58,10 @@ def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any]
                 raise MethodError(f"{path}: {name} does not fit into float16: save these weights as they are")
         tensors[name] = tensor
     try:
-        about = {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}
+        values = {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}
         if isinstance(network, RigidMatch):
-            about["kind"] = "rigidmatch"
-        header = json.dumps(about, sort_keys=True)
+            values["kind"] = "rigidmatch"
+        header = json.dumps(values, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise MethodError(f"{path}: metadata of weights must be plain JSON: {error}") from error
     files.write_bytes(path, safetensors.torch.save(tensors, {_KEY: header}))
@@ -69,10 +70,10 @@ def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any]
 def load_weights(
     path: str | Path, device: torch.device | str = "cpu", *, settings: NetworkSettings | None = None
 ) -> tuple[SceneFlowNet, dict[str, Any]]:
-    """`load_network` for those who can do with a `SceneFlowNet` alone.
+    """`load_network` for a `SceneFlowNet`.
 
     Raises:
-        MethodError: as `load_network`; or another kind of network.
+        MethodError: as `load_network`; or weights of another kind of network.
     """
     network, metadata = load_network(path, device, settings=settings)
     if not isinstance(network, SceneFlowNet):
@@ -80,23 +81,40 @@ def load_weights(
     return network, metadata
 
 
+@overload
+def load_network(
+    path: str | Path, device: torch.device | str = "cpu", *, settings: NetworkSettings
+) -> tuple[SceneFlowNet, dict[str, Any]]: ...
+
+
+@overload
+def load_network(
+    path: str | Path, device: torch.device | str = "cpu", *, settings: RigidMatchSettings
+) -> tuple[RigidMatch, dict[str, Any]]: ...
+
+
+@overload
+def load_network(
+    path: str | Path, device: torch.device | str = "cpu", *, settings: Settings | None = None
+) -> tuple[Network, dict[str, Any]]: ...
+
+
 def load_network(
     path: str | Path, device: torch.device | str = "cpu", *, settings: Settings | None = None
 ) -> tuple[Network, dict[str, Any]]:
-    """Build the network that a file of `save_weights` describes, and fill it: every tensor or an error.
+    """Build the network that a file of `save_weights` describes, and load every tensor strictly.
 
     Args:
         path: of the file.
-        device: where the network goes.
-        settings: what the network must be, where the caller cannot do with any other; it gets these settings' FREE
-            fields.
+        device: of the network.
+        settings: the required settings of the network, if any; their FREE fields override those of the file.
 
     Returns:
         The network in float32 and evaluation mode, and the metadata.
 
     Raises:
         MethodError: no such file; a truncated, pickled or foreign one; another configuration (the message names the
-            field), or tensors that do not fit it.
+            field), or tensors that do not fit the configuration.
     """
     path = Path(path)
     found, metadata = read_header(path)
@@ -107,7 +125,7 @@ def load_network(
         tensors = safetensors.torch.load_file(path)
     except (OSError, ValueError, safetensors.SafetensorError) as error:
         raise _unreadable(path, error) from error
-    with torch.random.fork_rng(devices=[]):  # a network starts from random numbers: leave the caller's alone
+    with torch.random.fork_rng(devices=[]):  # initial weights are random: keep the caller's generator state
         network = SceneFlowNet(found) if isinstance(found, NetworkSettings) else RigidMatch(found)
     wanted = network.state_dict()
     for name in sorted({*wanted, *tensors}):
@@ -125,10 +143,10 @@ def load_network(
 
 
 def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
-    """The configuration and the metadata of a file of `save_weights`, without its tensors.
+    """The settings of the network and the metadata of a file of `save_weights`, without its tensors.
 
     Raises:
-        MethodError: as `load_weights`.
+        MethodError: as `load_network`.
     """
     path = Path(path)
     try:
@@ -149,7 +167,7 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MethodError(f"{path}: damaged: its header cannot be read") from error
     if kind not in _KINDS:
-        raise MethodError(f"{path}: weights of a network {kind!r}, which this objectflow does not have")
+        raise MethodError(f"{path}: weights of a network {kind!r}, which this version of objectflow does not have")
     try:
         return _KINDS[kind].from_dict(network), metadata
     except MethodError as error:
@@ -157,20 +175,24 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
 
 
 def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> None:
-    """Check that weights are of the configuration asked for.
+    """Check that weights have the required configuration.
+
+    Args:
+        found: settings of the weights.
+        wanted: the required ones.
+        where: start of the error message.
 
     Raises:
-        MethodError: a field that tensors depend on differs; the message names the first, its two values, and starts
-            with `where`.
+        MethodError: a field that tensors depend on differs; the message names the first one and both values.
     """
     if type(found) is not type(wanted):
         kinds = {kind: name for name, kind in _KINDS.items()}
         raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is asked for")
     for field in dataclasses.fields(wanted):
-        one, other = getattr(found, field.name), getattr(wanted, field.name)
-        if one != other and field.name not in wanted.FREE:
+        has, needs = getattr(found, field.name), getattr(wanted, field.name)
+        if has != needs and field.name not in wanted.FREE:
             raise MethodError(
-                f"{where}: weights of another configuration: {field.name} is {one} there, but {other} is asked for"
+                f"{where}: weights of another configuration: {field.name} is {has} there, but {needs} is asked for"
             )
 
 

@@ -1,9 +1,9 @@
-"""What differs between the two kinds of network in training: their output, its losses, and what it says of a pair."""
+"""The two networks behind one interface for training: forward pass, losses, and the result for a pair."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from dataclasses import asdict
+from typing import Any, Protocol
 
 from torch import Tensor, nn
 
@@ -11,63 +11,101 @@ from objectflow.methods.rigidmatch.decoding import output_to_motion, select
 from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.motion import SceneMotion
 from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
-from objectflow.networks.rigidmatch import RigidMatchOutput
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
 from objectflow.networks.weights import Network
-from objectflow.training.recipe import Recipe
+from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
 from objectflow.training.rigidmatch_losses import rigidmatch_losses
 from objectflow.training.sceneflownet_losses import sceneflownet_losses
 from objectflow.training.step import Prepared
 
-Output = tuple[SceneFlowNetOutput, Tensor | None] | RigidMatchOutput
-"""Of `trained_form`."""
+MapsAndCorrelation = tuple[SceneFlowNetOutput, Tensor | None]
+"""The output of `WithCorrelation`."""
+
+
+class NetworkAdapter(Protocol):
+    """A network as the training loop and the validation use it."""
+
+    @property
+    def network(self) -> Network:
+        """The network without wrappers, whose weights are saved."""
+        ...
+
+    @property
+    def module(self) -> nn.Module:
+        """The module to call on `Prepared.images`; its output holds everything that the losses need."""
+        ...
+
+    def losses(self, output: Any, prepared: Prepared) -> dict[str, Tensor]:
+        """Every loss term, unweighted and without gradient, and "total", weighted and with gradient."""
+        ...
+
+    def to_motion(self, output: Any, prepared: Prepared, index: int) -> SceneMotion:
+        """The objects and the scene flow of one pair of the batch."""
+        ...
+
+    def header(self) -> dict[str, Any]:
+        """What estimators of this network need to find in the header of its weights, beside the size."""
+        ...
 
 
 class WithCorrelation(nn.Module):
-    """A `SceneFlowNet` as training calls it: maps, and the correlation that the match loss judges."""
+    """A `SceneFlowNet` whose output includes the correlation, for the match loss."""
 
     def __init__(self, network: SceneFlowNet) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, *images: Tensor) -> tuple[SceneFlowNetOutput, Tensor | None]:
+    def forward(self, *images: Tensor) -> MapsAndCorrelation:
         """See `SceneFlowNet.predict`."""
         return self.network.predict(*images)
 
 
-def trained_form(network: Network) -> nn.Module:
-    """The network as training calls it: everything that losses need comes out."""
-    return WithCorrelation(network) if isinstance(network, SceneFlowNet) else network
+class SceneFlowNetAdapter:
+    """Training of the paper's network."""
+
+    def __init__(self, network: SceneFlowNet, config: SceneFlowNetConfig) -> None:
+        self.network = network
+        self.module = WithCorrelation(network)
+        self._config = config
+
+    def losses(self, output: MapsAndCorrelation, prepared: Prepared) -> dict[str, Tensor]:
+        """See `NetworkAdapter`."""
+        maps, correlation = output
+        return sceneflownet_losses(
+            maps,
+            prepared.targets,
+            prepared.points,
+            self._config.loss,
+            correlation=correlation,
+            matches=prepared.matches,
+        )
+
+    def to_motion(self, output: MapsAndCorrelation, prepared: Prepared, index: int) -> SceneMotion:
+        """See `NetworkAdapter`."""
+        maps = SceneFlowNetOutput(*(value[index : index + 1] for value in output[0]))
+        return decode(maps, prepared.points[index : index + 1], grouping=self._config.grouping)
+
+    def header(self) -> dict[str, Any]:
+        """See `NetworkAdapter`."""
+        return {"variant": self._config.method, "grouping": asdict(self._config.grouping)}
 
 
-def tensors_of(output: Any) -> Iterator[Tensor]:
-    """All tensors with gradient in an output."""
-    for one in output:
-        if isinstance(one, Tensor):
-            if one.requires_grad:
-                yield one
-        elif one is not None:
-            yield from tensors_of(one)
+class RigidMatchAdapter:
+    """Training of `RigidMatch`."""
 
+    def __init__(self, network: RigidMatch, config: RigidMatchConfig) -> None:
+        self.network = network
+        self.module = network
+        self._config = config
 
-def losses_of(output: Output, prepared: Prepared, recipe: Recipe) -> dict[str, Tensor]:
-    """Every term without gradient, unweighted; and "total", weighted, with gradient."""
-    if isinstance(output, RigidMatchOutput):
-        return rigidmatch_losses(output, prepared, recipe.rigid.stride, recipe.rigid_loss)
-    maps, correlation = output
-    return sceneflownet_losses(
-        maps,
-        prepared.targets,
-        prepared.points,
-        recipe.loss_settings,
-        correlation=correlation,
-        matches=prepared.matches,
-    )
+    def losses(self, output: RigidMatchOutput, prepared: Prepared) -> dict[str, Tensor]:
+        """See `NetworkAdapter`."""
+        return rigidmatch_losses(output, prepared, self._config.network.stride, self._config.loss)
 
+    def to_motion(self, output: RigidMatchOutput, prepared: Prepared, index: int) -> SceneMotion:
+        """See `NetworkAdapter`."""
+        return output_to_motion(select(output, index), prepared.points[index : index + 1])
 
-def motion_of(output: Output, prepared: Prepared, recipe: Recipe, index: int) -> SceneMotion:
-    """What an output says about one pair of its batch."""
-    points = prepared.points[index : index + 1]
-    if isinstance(output, RigidMatchOutput):
-        return output_to_motion(select(output, index), points)
-    maps = SceneFlowNetOutput(*(one[index : index + 1] for one in output[0]))
-    return decode(maps, points, grouping=recipe.grouping)
+    def header(self) -> dict[str, Any]:
+        """See `NetworkAdapter`."""
+        return {"variant": self._config.method}

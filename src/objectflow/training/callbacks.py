@@ -1,4 +1,4 @@
-"""Who looks on while a run goes: nobody, a terminal with a progress bar, or a log."""
+"""Callbacks of the training loop: none, a terminal with a progress bar, TensorBoard, or several of them."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from objectflow.training.validation import Validation
 
 
 class Callback:
-    """Looks on and does nothing."""
+    """The hooks of a run; this base class does nothing."""
 
     def start(self, step: int, total: int | None) -> None:
-        """The run starts or goes on; the total is None where time limits it."""
+        """The run starts or continues at a step; the total is None if time limits the run."""
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
-        """Steps are done; `line` as in the metrics."""
+        """A line of metrics was written after a step; `progress` is the share of the run that is done, 0..1."""
 
     def validated(self, step: int, result: Validation, best: bool) -> None:
-        """A validation is done."""
+        """A validation is done; `best` tells whether its score is the lowest so far."""
 
     def note(self, text: str) -> None:
-        """Something the user should know, in one line."""
+        """One line of information for the user."""
 
     def close(self) -> None:
-        """The run ends."""
+        """The run has ended."""
 
 
 class Terminal(Callback):
-    """A bar with pairs per second, and a line a validation; without a terminal, a line a minute or so instead."""
+    """A progress bar with pairs per second, and a line per validation; without a terminal, a line per minute."""
 
     def __init__(self, *, every_seconds: float = 60.0) -> None:
         self._console = Console(highlight=False, soft_wrap=True)
@@ -60,7 +60,7 @@ class Terminal(Callback):
         self._console.print(
             f"step {step}: {result.pairs} validation pairs: loss {result.losses['total']:.3f}, masked EPE "
             f"{result.epe_cm:.2f} cm (zero flow {result.zero_epe_cm:.2f}), mean F {result.mean_f:.3f}, "
-            f"extracted {result.extracted}/{result.true_objects}{', the best so far' if best else ''}"
+            f"extracted {result.extracted}/{result.true_objects}{', best so far' if best else ''}"
         )
 
     def note(self, text: str) -> None:
@@ -73,7 +73,7 @@ class Terminal(Callback):
 
 
 class TensorBoard(Callback):
-    """Writes the same numbers for TensorBoard, where it is installed; otherwise does nothing."""
+    """Writes the same numbers for TensorBoard if it is installed; otherwise does nothing."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -85,7 +85,7 @@ class TensorBoard(Callback):
             from torch.utils.tensorboard import SummaryWriter
         except ImportError:
             return
-        # What an interrupted run wrote past its checkpoint is written anew, and hidden here.
+        # An interrupted run wrote events past its checkpoint; they are written again and hidden by this.
         self._writer = SummaryWriter(str(self._folder), purge_step=step)
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
@@ -109,33 +109,33 @@ class TensorBoard(Callback):
                 self._writer.add_scalar(f"{group}/{name}", value, step)
 
 
-class Several(Callback):
-    """Hands everything on to each of some."""
+class CallbackList(Callback):
+    """Passes every call on to several callbacks, in order."""
 
-    def __init__(self, *watches: Callback) -> None:
-        self._watches = watches
+    def __init__(self, *callbacks: Callback) -> None:
+        self._callbacks = callbacks
 
     def start(self, step: int, total: int | None) -> None:
         """See `Callback`."""
-        for one in self._watches:
-            one.start(step, total)
+        for callback in self._callbacks:
+            callback.start(step, total)
 
     def line(self, step: int, progress: float, line: Mapping[str, Any]) -> None:
         """See `Callback`."""
-        for one in self._watches:
-            one.line(step, progress, line)
+        for callback in self._callbacks:
+            callback.line(step, progress, line)
 
     def validated(self, step: int, result: Validation, best: bool) -> None:
         """See `Callback`."""
-        for one in self._watches:
-            one.validated(step, result, best)
+        for callback in self._callbacks:
+            callback.validated(step, result, best)
 
     def note(self, text: str) -> None:
         """See `Callback`."""
-        for one in self._watches:
-            one.note(text)
+        for callback in self._callbacks:
+            callback.note(text)
 
     def close(self) -> None:
         """See `Callback`."""
-        for one in self._watches:
-            one.close()
+        for callback in self._callbacks:
+            callback.close()

@@ -1,4 +1,4 @@
-"""Everything that a run needs to go on as if it had never stopped: one folder, whole or not there. No pickle."""
+"""Checkpoints: everything needed to continue a run exactly, in a folder that appears atomically. No pickle."""
 
 from __future__ import annotations
 
@@ -22,16 +22,18 @@ from objectflow.training.ema import ExponentialMovingAverage
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
 _KEY = "objectflow"
 _PREFIX = "step-"
+_AVERAGE, _OPTIMIZER = "mean.", "optimizer."
+"""Prefixes of tensors in the state file."""
 
 
 @dataclass(frozen=True)
 class TrainState:
-    """How far a run is.
+    """The progress of a run.
 
     Attributes:
-        step: steps done.
-        seconds: spent training, over all its parts.
-        best: the least `Validation.score` so far; None before the first.
+        step: number of steps done.
+        seconds: training time over all parts of the run.
+        best: lowest `Validation.score` so far; None before the first validation.
     """
 
     step: int = 0
@@ -43,35 +45,35 @@ def save_checkpoint(
     root: Path,
     network: Network,
     optimizer: torch.optim.Optimizer,
-    mean: ExponentialMovingAverage | None,
-    position: TrainState,
+    average: ExponentialMovingAverage | None,
+    state: TrainState,
     *,
     keep: int,
 ) -> Path:
-    """Write `root/step-NNNNNNNN` whole or not at all, then remove all but the last `keep`.
+    """Write `root/step-NNNNNNNN` atomically, then remove all but the last `keep` checkpoints.
 
     Args:
         root: the run's folder of checkpoints.
         network: without wrappers.
-        optimizer: over the network's parameters.
-        mean: their running mean, if the run keeps one.
-        position: how far the run is.
-        keep: how many checkpoints stay, this one among them.
+        optimizer: of the network's parameters.
+        average: their moving average, if the run keeps one.
+        state: the progress of the run.
+        keep: number of checkpoints to keep, including this one.
 
     Raises:
-        StorageError: the disk refused.
+        StorageError: the checkpoint cannot be written.
     """
-    path = root / f"{_PREFIX}{position.step:08d}"
+    path = root / f"{_PREFIX}{state.step:08d}"
     tensors = dict(_optimizer_tensors(network, optimizer))
-    if mean is not None:
-        tensors |= {f"mean.{name}": value for name, value in mean.network.state_dict().items()}
+    if average is not None:
+        tensors |= {f"{_AVERAGE}{name}": value for name, value in average.network.state_dict().items()}
     tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    header = json.dumps({**asdict(position), "mean_steps": 0 if mean is None else mean.steps}, sort_keys=True)
+    header = json.dumps({**asdict(state), "mean_steps": 0 if average is None else average.steps}, sort_keys=True)
     with files.new_folder(path, replace=True) as folder:
-        save_weights(folder / WEIGHTS, network, {"step": position.step})
+        save_weights(folder / WEIGHTS, network, {"step": state.step})
         files.write_bytes(folder / STATE, safetensors.torch.save(tensors, {_KEY: header}))
     for old in checkpoints(root)[:-keep]:
-        # A folder half removed must not look like a checkpoint.
+        # A half-removed folder must not look like a checkpoint.
         hidden = old.with_name(f".{old.name}.old")
         os.rename(old, hidden)
         shutil.rmtree(hidden, ignore_errors=True)
@@ -79,24 +81,24 @@ def save_checkpoint(
 
 
 def checkpoints(root: Path) -> list[Path]:
-    """The checkpoints in a folder, in order of steps."""
+    """The checkpoints in a folder, by step."""
     return sorted(path for path in root.glob(f"{_PREFIX}*") if path.is_dir())
 
 
 def remove_leftovers(root: Path) -> None:
-    """Remove what a killed run left half written or half removed."""
+    """Remove folders that a killed run left half written or half removed."""
     for path in root.glob(f".{_PREFIX}*"):
         shutil.rmtree(path, ignore_errors=True)
 
 
 def load_checkpoint(
-    path: Path, network: Network, optimizer: torch.optim.Optimizer, mean: ExponentialMovingAverage | None
+    path: Path, network: Network, optimizer: torch.optim.Optimizer, average: ExponentialMovingAverage | None
 ) -> TrainState:
-    """Fill network, optimiser and mean, exactly as they were.
+    """Restore network, optimiser and moving average exactly.
 
     Raises:
         MethodError: weights of another configuration (the message names the field), or a damaged file.
-        TrainingError: a state that does not fit.
+        TrainingError: a state that does not fit the network or the recipe.
     """
     loaded, _ = load_network(path / WEIGHTS, settings=network.settings)
     network.load_state_dict(loaded.state_dict())
@@ -106,23 +108,25 @@ def load_checkpoint(
             header = json.loads((opened.metadata() or {})[_KEY])
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 - not a mapping
         mean_steps = int(header.pop("mean_steps"))
-        position = TrainState(**header)
+        state = TrainState(**header)
     except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError) as error:
-        raise TrainingError(f"{file}: damaged, remove {path} to go on from the one before: {error}") from error
+        raise TrainingError(
+            f"{file}: damaged: remove {path} to continue from the checkpoint before it: {error}"
+        ) from error
     _fill_optimizer(file, network, optimizer, tensors)
-    if mean is not None:
-        stored = {name[5:]: value for name, value in tensors.items() if name.startswith("mean.")}
-        if stored.keys() != mean.network.state_dict().keys():
-            raise TrainingError(f"{file}: holds no running mean of these weights: continue with the run's own recipe")
-        mean.network.load_state_dict(stored)
-        mean.steps = mean_steps
-    return position
+    if average is not None:
+        stored = {name[len(_AVERAGE) :]: value for name, value in tensors.items() if name.startswith(_AVERAGE)}
+        if stored.keys() != average.network.state_dict().keys():
+            raise TrainingError(f"{file}: no moving average of these weights: continue with the run's own recipe")
+        average.network.load_state_dict(stored)
+        average.steps = mean_steps
+    return state
 
 
 def _optimizer_tensors(network: Network, optimizer: torch.optim.Optimizer) -> Iterator[tuple[str, Tensor]]:
     for name, parameter in network.named_parameters():
         for key, value in optimizer.state.get(parameter, {}).items():
-            yield f"optimizer.{name}.{key}", value
+            yield f"{_OPTIMIZER}{name}.{key}", value
 
 
 def _fill_optimizer(
@@ -131,15 +135,15 @@ def _fill_optimizer(
     parameters = dict(network.named_parameters())
     optimizer.state.clear()
     for name, value in tensors.items():
-        if not name.startswith("optimizer."):
+        if not name.startswith(_OPTIMIZER):
             continue
-        owner, key = name[len("optimizer.") :].rsplit(".", 1)
+        owner, key = name[len(_OPTIMIZER) :].rsplit(".", 1)
         if owner not in parameters:
-            raise TrainingError(f"{file}: damaged: {owner} is no parameter of this network")
+            raise TrainingError(f"{file}: damaged: {owner} is not a parameter of this network")
         parameter = parameters[owner]
         if value.ndim:
-            # In the parameter's own memory layout, as the optimiser would have made it.
+            # The optimiser would have made it in the parameter's own memory layout.
             optimizer.state[parameter][key] = torch.empty_like(parameter, requires_grad=False).copy_(value)
         else:
-            # Adam counts its steps on the CPU, unless one kernel does all.
+            # Adam counts its steps on the CPU unless it is fused.
             optimizer.state[parameter][key] = value.to(parameter.device) if optimizer.defaults["fused"] else value

@@ -1,4 +1,4 @@
-"""`loss_curve.png`: a run's training and validation loss, as in the paper's loss figure, and what it is worth."""
+"""`loss_curve.png`: a run's training and validation loss, as in the paper's loss figure, and its metrics."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from objectflow.view import canvas
 from objectflow.view.colors import Rgb
 
 WIDTH, HEIGHT = 760, 560
-"""Pixels of a panel."""
+"""Size of a panel in pixels."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 92, 48, 66, 74
 _INK, _GRID, _BLUE, _RED, _GREY = (40, 40, 40), (225, 225, 225), (31, 90, 180), (200, 50, 40), (140, 140, 140)
 _SMOOTH = 0.04
-"""Share of the run over which the training loss is averaged for the strong line."""
+"""Share of the run over which the training loss is averaged for the thick line, 0..1."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """One line of a panel: x and y of its points, colour, name; a thin one is in the background."""
+    """One line of a panel: its name, colour and points (x, y); `thin` lines form the background."""
 
     name: str
     color: Rgb
@@ -36,7 +36,7 @@ class Series:
 
 
 def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = "") -> None:
-    """Draw a run's metrics and write them as PNG.
+    """Draw a run's metrics as a PNG file.
 
     Args:
         path: of the picture.
@@ -44,7 +44,7 @@ def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = 
         title: the run's name, above the first panel.
 
     Raises:
-        StorageError: the disk refused.
+        StorageError: the picture cannot be written.
     """
     image = draw_curves(lines, title)
     done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
@@ -54,7 +54,7 @@ def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = 
 
 
 def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Array:
-    """The picture: (HEIGHT, 3 WIDTH, 3) uint8; one panel each for loss, end point error, and segmentation."""
+    """The picture, (HEIGHT, 3 WIDTH, 3) uint8, with panels for loss, end-point error and segmentation."""
     train = [line for line in lines if line["kind"] == "train"]
     validation = [line for line in lines if line["kind"] == "validation"]
     loss = points_of(train, "losses", "total")
@@ -73,12 +73,12 @@ def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Arr
                 Series("zero flow", _GREY, points_of(validation, "zero_epe_cm")),
                 Series("validation", _RED, points_of(validation, "epe_cm")),
             ],
-            "masked end point error, cm",
+            "masked end-point error, cm",
         ),
         panel(
             [
                 Series("mean F", _RED, points_of(validation, "mean_f")),
-                Series("extracted objects, share", _BLUE, points_of(validation, "extracted_share")),
+                Series("share of extracted objects", _BLUE, points_of(validation, "extracted_share")),
             ],
             "segmentation",
         ),
@@ -87,7 +87,7 @@ def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Arr
 
 
 def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) -> UInt8Array:
-    """One diagram over steps: (HEIGHT, WIDTH, 3) uint8. Without points, it says so."""
+    """One diagram over steps, (HEIGHT, WIDTH, 3) uint8, or a note that there are no points yet."""
     image: UInt8Array = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     canvas.write(image, title, _LEFT, 34, 26, _INK, bold=True)
     xs = [x for one in series for x, _ in one.points]
@@ -131,7 +131,7 @@ def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) ->
 
 
 def _legend(image: UInt8Array, series: Sequence[Series]) -> None:
-    """Names above the diagram, beside a piece of their lines."""
+    """Draw the names above the diagram, each beside a sample of its line."""
     x = float(_LEFT)
     for one in series:
         canvas.line(image, [(x, 52.0), (x + 28, 52.0)], one.color, 3)
@@ -140,7 +140,7 @@ def _legend(image: UInt8Array, series: Sequence[Series]) -> None:
 
 
 def points_of(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[float, float]]:
-    """(step, value) of the lines that have the value, which lies at `names`, one within the other."""
+    """(step, value) of the lines that have a value under the nested keys `names`."""
     points = []
     for line in lines:
         value: Any = line
@@ -152,7 +152,7 @@ def points_of(lines: Sequence[Mapping[str, Any]], *names: str) -> list[tuple[flo
 
 
 def smoothed(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The mean over a window around each point, shorter towards the ends."""
+    """The mean over a window around each point; the window shrinks towards the ends."""
     if not points:
         return []
     values: Float64Array = np.array(points)
@@ -165,7 +165,7 @@ def smoothed(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]
 
 
 def _ticks(low: float, high: float, logarithmic: bool) -> list[float]:
-    """Round values between two others: some four to eight of them."""
+    """About four to eight round values between two bounds."""
     if logarithmic and high / low > 5:
         powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         digits = (1, 2, 5) if high / low < 1000 else (1,)

@@ -1,4 +1,8 @@
-"""A running mean of a network's weights: steadier than the last step's, and better on pairs not seen."""
+"""An exponential moving average of a network's weights, which generalises better than the last step's weights.
+
+`torch.optim.swa_utils.AveragedModel` is not used because it does another average: its first update copies the weights,
+its decay is constant from then on, and with `use_buffers` it rounds averaged integer buffers (`num_batches_tracked`).
+"""
 
 from __future__ import annotations
 
@@ -7,35 +11,44 @@ import copy
 import torch
 
 from objectflow.networks.weights import Network
+from objectflow.training.adapters import NetworkAdapter
 
 
 class ExponentialMovingAverage:
-    """The exponential mean of a network's parameters and running statistics.
+    """The exponential moving average of a network's parameters and running statistics.
 
     Attributes:
-        network: a copy that holds the mean, in evaluation mode.
-        steps: how many updates it has seen.
+        adapter: a copy of the adapter whose network holds the average, in evaluation mode.
+        steps: number of updates so far.
     """
 
-    def __init__(self, network: Network, decay: float) -> None:
-        """Start from the network as it is.
+    def __init__(self, adapter: NetworkAdapter, decay: float) -> None:
+        """Start from the network's present weights.
 
         Args:
-            network: without wrappers; its tensors are followed, so they must only be changed in place from here on.
-            decay: what is left of the mean in a step, 0..1. Early on it is less, or first weights would linger.
+            adapter: of the network to follow; its tensors may only change in place from here on.
+            decay: share of the average that one step keeps, 0..1. Early steps keep less, so that the initial weights
+                fade quickly.
         """
-        self.network = copy.deepcopy(network).requires_grad_(False).eval()
+        self.adapter = copy.deepcopy(adapter)
+        self.adapter.network.requires_grad_(False).eval()
         self.decay, self.steps = decay, 0
-        # Found once: walking through the modules would cost as much as the update.
-        self._pairs = list(zip(self.network.state_dict().values(), network.state_dict().values(), strict=True))
+        # The tensors are paired once, because walking through the modules costs as much as the update.
+        averages, values = self.network.state_dict().values(), adapter.network.state_dict().values()
+        self._pairs = list(zip(averages, values, strict=True))
+
+    @property
+    def network(self) -> Network:
+        """The network that holds the average."""
+        return self.adapter.network
 
     @torch.no_grad()
     def update(self) -> None:
-        """Move the mean towards the network's present weights."""
+        """Move the average towards the network's present weights."""
         self.steps += 1
-        part = 1 - min(self.decay, self.steps / (self.steps + 9))
-        for mean, now in self._pairs:
-            if mean.is_floating_point():
-                mean.lerp_(now, part)
+        weight = 1 - min(self.decay, self.steps / (self.steps + 9))
+        for average, value in self._pairs:
+            if average.is_floating_point():
+                average.lerp_(value, weight)
             else:
-                mean.copy_(now)
+                average.copy_(value)

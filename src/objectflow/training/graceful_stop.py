@@ -1,4 +1,4 @@
-"""A polite end: the first Ctrl-C or SIGTERM lets the step finish and a checkpoint be written."""
+"""Graceful termination: after the first Ctrl-C or SIGTERM, the step finishes and a checkpoint is written."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class GracefulStop:
-    """While entered, takes note of a signal instead of dying from it; a second one acts as it always would.
+    """Context manager that records the first signal; a second one has its usual effect.
 
     Attributes:
-        signal: the number of the one that came, 0 before.
+        signal: number of the signal received, 0 if none.
     """
 
     def __init__(self) -> None:
@@ -24,7 +24,7 @@ class GracefulStop:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> GracefulStop:
-        # Python handles signals in its main thread alone; a run in another one is stopped by whoever started it.
+        # Python handles signals in the main thread only; a run in another thread is stopped by its caller.
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._note) for number in _SIGNALS}
         return self
@@ -35,8 +35,8 @@ class GracefulStop:
         self._restore()
 
     @contextmanager
-    def kept_from_children(self) -> Iterator[None]:
-        """Processes started inside ignore Ctrl-C, which a terminal sends to all: this one ends them itself."""
+    def ignored_by_children(self) -> Iterator[None]:
+        """Let processes started inside ignore Ctrl-C, which a terminal sends to all; this process ends them."""
         before = signal.signal(signal.SIGINT, signal.SIG_IGN) if self._before else None
         try:
             yield

@@ -1,4 +1,4 @@
-"""Which query answers for which object: costs of all pairs, and the cheapest assignment (Carion et al. 2020)."""
+"""Assignment of queries to objects: costs of all pairs, and the cheapest one-to-one matching (Carion et al. 2020)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import torch.nn.functional as F
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-_FAIR_SHARE = 1 / 32
-"""Of the image: a mask's cross entropy is divided by the object's area and so much more, or small objects would count
-for nothing and tiny ones for everything."""
+AREA_OFFSET = 1 / 32
+"""Share of the image that is added to an object's area before its mask's cross entropy is divided by it. Without the
+division, small objects would hardly count; without the offset, tiny ones would dominate."""
 
 
 class MaskCosts(NamedTuple):
-    """(..., Q, K) of every query's mask as every object's, with gradient."""
+    """(..., Q, K) costs of every query's mask for every object, with gradient."""
 
     cross_entropy: Tensor
     dice: Tensor
@@ -32,7 +32,7 @@ def mask_costs(logits: Tensor, masks: Tensor) -> MaskCosts:
     area = masks.sum(-1)[:, None]
     inside = logits.sigmoid()
     cross_entropy = (F.softplus(logits).sum(-1)[..., None] - logits @ masks.mT) / (
-        area + _FAIR_SHARE * logits.shape[-1]
+        area + AREA_OFFSET * logits.shape[-1]
     )
     dice = 1 - (2 * inside @ masks.mT + 1) / (inside.sum(-1)[..., None] + area + 1)
     return MaskCosts(cross_entropy, dice)
@@ -44,17 +44,18 @@ def assign_queries(costs: Tensor, present: Tensor) -> Tensor:
 
     Args:
         costs: (L, B, Q, K).
-        present: (B, K) bool: objects that are there. Where there are more than queries, the dearest go without.
+        present: (B, K) bool: rows that hold an object. If there are more objects than queries, the ones that cost
+            most stay unassigned.
 
     Returns:
-        (L, B, K) int64: each object's query, -1 for none.
+        (L, B, K) int64: each object's query, -1 if unassigned.
     """
     table = np.nan_to_num(costs.detach().double().cpu().numpy(), nan=1e6, posinf=1e6, neginf=-1e6)
-    there = present.cpu().numpy()
+    mask = present.cpu().numpy()
     out = np.full((table.shape[0], table.shape[1], table.shape[3]), -1, np.int64)
     for layer in range(table.shape[0]):
         for b in range(table.shape[1]):
-            objects = np.nonzero(there[b])[0]
+            objects = np.nonzero(mask[b])[0]
             queries, columns = linear_sum_assignment(table[layer, b][:, objects])
             out[layer, b, objects[columns]] = queries
     return torch.from_numpy(out).to(costs.device)

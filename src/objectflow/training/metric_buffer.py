@@ -1,4 +1,4 @@
-"""The losses of the steps since the last look: read at once, so that a GPU is not waited for at every step."""
+"""A buffer of the losses of several steps, read at once so that a GPU need not be synchronised at every step."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from objectflow.errors import TrainingError
 from objectflow.training.parallel import Process
 
 GRADIENT = "gradient"
-"""The name under which the gradient's norm is checked and logged."""
+"""Name under which the gradient's norm is checked and logged."""
 
 
 class MetricBuffer:
-    """Collects steps; `read` empties it."""
+    """Collects the losses of steps until `read` empties it."""
 
     def __init__(self, process: Process) -> None:
         self._process = process
@@ -24,7 +24,14 @@ class MetricBuffer:
         self._names: list[str] = []
 
     def add(self, step: int, keys: Sequence[str], losses: Mapping[str, Tensor], gradient: Tensor) -> None:
-        """Note a step: its number, its pairs' keys, its losses and the norm of its gradient; nothing waits."""
+        """Add a step without synchronising the device.
+
+        Args:
+            step: its number.
+            keys: of its pairs in this process.
+            losses: scalars, with "total" among them.
+            gradient: scalar norm of the gradient.
+        """
         self._names = [*losses, GRADIENT]
         self._steps.append((step, keys))
         self._values.append(torch.stack([*losses.values(), gradient.to(losses["total"].dtype)]).detach())
@@ -33,7 +40,7 @@ class MetricBuffer:
         """The mean of each value over the steps and all processes.
 
         Raises:
-            TrainingError: a value is not finite; the message names the step and the pairs that this process had.
+            TrainingError: a value that is not finite; the message names the step and this process's pairs.
         """
         values = torch.stack(self._values)
         local = values.cpu()

@@ -1,4 +1,4 @@
-"""Several processes, one run: who this one is (torchrun's environment) and what they must agree on."""
+"""One run in several processes: this process's rank, from torchrun's environment, and their communication."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Process:
-    """A process's place in the run.
+    """A process of the run.
 
     Attributes:
-        rank, world_size: its number among all; 0 and 1 without torchrun.
+        rank, world_size: its number, and the number of processes; 0 and 1 without torchrun.
         device: where it computes.
     """
 
@@ -34,7 +34,7 @@ class Process:
 
     @property
     def first(self) -> bool:
-        """Whether it is the one that writes and prints."""
+        """Whether this process writes and prints."""
         return self.rank == 0
 
     def shared(self, network: nn.Module) -> nn.Module:
@@ -42,7 +42,7 @@ class Process:
         if self.world_size == 1:
             return network
         devices = [self.device] if self.device.type == "cuda" else None
-        # Buffers are the running statistics of batch normalisation; synchronised normalisation keeps them alike.
+        # Buffers are the running statistics of batch normalisation; synchronised normalisation keeps them equal.
         return DistributedDataParallel(network, device_ids=devices, broadcast_buffers=self.device.type != "cuda")
 
     def mean(self, values: Tensor) -> Tensor:
@@ -50,14 +50,14 @@ class Process:
         return values if self.world_size == 1 else self._reduced(values, dist.ReduceOp.SUM) / self.world_size
 
     def largest(self, value: float) -> float:
-        """The largest over all processes: a wish of one is a wish of all."""
+        """The maximum over all processes, so that a signal to one stops all."""
         if self.world_size == 1:
             return value
         tensor = torch.tensor([value], dtype=torch.float64, device=self.device)
         return float(self._reduced(tensor, dist.ReduceOp.MAX))
 
     def gathered(self, value: T) -> list[T]:
-        """Every process's value, in order of rank."""
+        """The values of all processes, in order of rank."""
         if self.world_size == 1:
             return [value]
         values: list[Any] = [None] * self.world_size
@@ -65,7 +65,7 @@ class Process:
         return values
 
     def wait(self) -> None:
-        """Until all processes are here."""
+        """Wait until all processes have arrived here."""
         if self.world_size > 1:
             dist.barrier()
 
@@ -75,25 +75,23 @@ class Process:
         return values
 
 
-def normalised_together(network: nn.Module, process: Process) -> nn.Module:
-    """Batch normalisation over the joint batch, where the device can: CUDA. It keeps every tensor's name."""
-    if process.world_size == 1 or process.device.type != "cuda":
-        return network
-    out: nn.Module = nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
-    return out
+def synchronize_batch_norm(network: nn.Module, process: Process) -> None:
+    """Replace batch normalisation inside a network by one over the joint batch, on CUDA; tensors keep their names."""
+    if process.world_size > 1 and process.device.type == "cuda":
+        nn.SyncBatchNorm.convert_sync_batchnorm(network)  # type: ignore[no-untyped-call]
 
 
 def is_first() -> bool:
-    """Whether this process is the one that writes and prints; known before the run is joined."""
+    """Whether this process writes and prints; known before the run is joined."""
     return os.environ.get("RANK", "0") == "0"
 
 
 @contextmanager
 def joined(device: str) -> Iterator[Process]:
-    """Join the run that torchrun's environment describes, or be alone without it; leave it at the end.
+    """Join the run that torchrun's environment describes, and leave it at the end; a single process without it.
 
     Args:
-        device: "auto", "cpu", "cuda" or "cuda:N"; under torchrun, "cuda" is the device of this process's number.
+        device: "auto", "cpu", "cuda" or "cuda:N"; under torchrun, "cuda" is the device with this process's local rank.
 
     Raises:
         TrainingError: an environment that describes no run.

@@ -1,4 +1,4 @@
-"""Batches on the device ahead of time: a thread pins them and starts their copies while the step before computes."""
+"""Prefetching: a thread pins batches and starts copying them to the device while the previous step computes."""
 
 from __future__ import annotations
 
@@ -15,18 +15,22 @@ from torch import Tensor
 from objectflow.dataset.batches import Batch
 
 _AHEAD = 2
-"""Batches that wait on the device."""
+"""Number of batches that wait on the device."""
 
 
 def on_device(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
-    """The same batches on a device. Closing the iterator closes the one behind it.
+    """The same batches on a device. Closing the iterator closes `batches`.
 
-    On a CPU nothing needs to be copied, so nothing is done ahead: `Batches` has worker processes for that.
+    On a CPU nothing is copied, and the worker processes of `Batches` already read ahead.
     """
-    return _copied_ahead(batches, device) if device.type == "cuda" else batches
+    return copied_ahead(batches, device) if device.type == "cuda" else batches
 
 
-def _copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
+def copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
+    """The same batches, in order, copied to a device by a thread; its errors are raised here.
+
+    Closing the iterator ends the thread and closes `batches`.
+    """
     ready: queue.Queue[Batch | BaseException | None] = queue.Queue(_AHEAD)
     done = threading.Event()
 
@@ -65,7 +69,7 @@ def _copied_ahead(batches: Iterator[Batch], device: torch.device) -> Iterator[Ba
 
 
 def _pinned(batch: Any) -> Any:
-    """A dataclass of tensors with its tensors in pinned memory, from which copies need no waiting."""
+    """A dataclass of tensors with its tensors in pinned memory, from which copies are asynchronous."""
     changes = {}
     for field in dataclasses.fields(batch):
         value = getattr(batch, field.name)

@@ -1,4 +1,4 @@
-"""How much each term of `rigidmatch_losses` weighs."""
+"""Weights of the terms of `rigidmatch_losses`."""
 
 from __future__ import annotations
 
@@ -16,36 +16,38 @@ class RigidMatchLossSettings:
     """
 
     match: float = 2.0
-    """Negative log-likelihood of the true cell, from both frames' sides, or of "hidden"."""
+    """Negative log-likelihood of the true cell, over rows and columns of the scores, or of "occluded"."""
     window: float = 1.0
-    """The same within the last small window."""
-    place: float = 20.0
-    """Metres between a cell's expected and true place in the previous frame, on both grids."""
-    reliability: float = 0.5
-    """Cross entropy of "within 2 cm"."""
+    """Negative log-likelihood of the true cell within the last small window."""
+    position: float = 20.0
+    """Metres between a cell's expected and true position in the previous frame, on both grids."""
+    match_confidence: float = 0.5
+    """Cross entropy of "this match is within 2 cm of the truth"."""
     foreground: float = 1.0
-    """Cross entropy of object or not, every cell."""
+    """Cross entropy of object or background, over all cells."""
     votes: float = 10.0
     """Metres of error of X, and of X + T."""
     seed: float = 0.5
-    """Cross entropy of exp(-error / 4 cm) of a vote; 0 off the objects."""
+    """Cross entropy with exp(-error / 4 cm) of a vote; the target is 0 off the objects."""
     objectness: float = 2.0
-    """Cross entropy of an object or none, every query; the class of the Hungarian matching."""
+    """Cross entropy of object or no object, over all queries; also the class cost of the Hungarian matching."""
     mask: float = 5.0
+    """Cross entropy of the matched masks; also a cost of the matching."""
     dice: float = 5.0
-    """Also in the matching, as the one above."""
+    """Dice loss of the matched masks; also a cost of the matching."""
     no_object: float = 0.5
     """Weight of queries without an object within `objectness`."""
     pixels: float = 2.0
-    """Cross entropy and dice of the matched masks at every pixel; teaches the upsampling."""
+    """Cross entropy and dice of the matched masks at full resolution; trains the upsampling."""
     flow: float = 40.0
-    """Metres between the flow that an object's motion makes and the true one, the same for all objects."""
-    moves: float = 0.5
-    """Cross entropy of moving or not, of matched queries."""
+    """Metres between the flow of an object's predicted motion and the true flow, with equal weight per object."""
+    moving: float = 0.5
+    """Cross entropy of moving or static, over matched queries."""
     background: float = 0.1
-    """Weight of a cell off the objects in the means of match, window, place and reliability."""
+    """Weight of a cell off the objects in the means of match, window, position and match_confidence."""
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            if not 0 <= getattr(self, one.name) < float("inf"):  # written so that NaN fails too
-                raise MethodError(f"loss setting {one.name} must be finite and >= 0, not {getattr(self, one.name)}")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < float("inf"):  # NaN fails this comparison too
+                raise MethodError(f"loss setting {field.name} must be finite and >= 0, not {value}")

@@ -1,4 +1,4 @@
-"""The losses of `RigidMatch`, each term by its name: matches, votes, objects as a set, flow after the solve."""
+"""The losses of `RigidMatch`, each term by its name: matches, votes, the set of objects, and flow after the solve."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from torch import Tensor
 
 from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import mix_neighbors
-from objectflow.training.hungarian import assign_queries, mask_costs
+from objectflow.training.hungarian import AREA_OFFSET, assign_queries, mask_costs
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_targets import Cells, RigidMatchTargets, make_rigidmatch_targets
 from objectflow.training.step import Prepared
 
-_RIGHT = 0.02
-"""Metres: a match so near to the truth can be relied on."""
-_BARRED = -1e3
-"""Scores below belong to cells that cannot be a match."""
-_NEAR = 0.04
-"""Metres: how fast a vote's worth as a seed falls with its error."""
+_CORRECT = 0.02
+"""Largest error in metres of a match that counts as correct."""
+_EXCLUDED = -1e3
+"""Scores below this belong to cells that are excluded from matching."""
+_SEED_DECAY = 0.04
+"""Error in metres at which a vote's target value as a seed has fallen to 1 / e."""
 
 
 def rigidmatch_losses(
@@ -26,12 +26,12 @@ def rigidmatch_losses(
 ) -> dict[str, Tensor]:
     """Every term of the loss, and their weighted sum.
 
-    Means over cells are over the whole batch; terms of objects are means over a batch's objects.
+    Means over cells are over the whole batch; object terms are means over the batch's objects.
 
     Args:
-        output: the network's.
+        output: of the network.
         prepared: from `prepare`.
-        stride: of its coarse grid.
+        stride: of the network's coarse grid, pixels.
         settings: the defaults when None.
 
     Returns:
@@ -44,8 +44,8 @@ def rigidmatch_losses(
         terms = {
             "match": match_term(output, truth),
             "window": window_term(output, truth),
-            "place": place_term(output, truth),
-            "reliability": reliability_term(output, truth),
+            "position": position_term(output, truth),
+            "match_confidence": match_confidence_term(output, truth),
         } | vote_terms(output, truth)
         terms |= object_terms(output, truth, prepared, settings)
         total = torch.stack([getattr(settings, name) * term for name, term in terms.items()]).sum()
@@ -53,7 +53,7 @@ def rigidmatch_losses(
 
 
 def cropped(output: RigidMatchOutput, truth: RigidMatchTargets) -> RigidMatchOutput:
-    """The output without the cells that lie beyond the image's edge, but for `scores` and what belongs to them."""
+    """The output without the cells beyond the image's edge, except for `scores` and the fields that belong to it."""
     height, width = truth.owner.shape[-2:]
     dense = ("match", "window_logits", "window_center", "reliability", "foreground", "seed", "votes", "masks")
     changes = {name: getattr(output, name)[..., :height, :width] for name in dense}
@@ -61,33 +61,33 @@ def cropped(output: RigidMatchOutput, truth: RigidMatchTargets) -> RigidMatchOut
 
 
 def match_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """-log of the true cell's probability over rows and over columns, or of 'hidden': the mean over cells."""
+    """-log of the true cell's probability over rows and over columns, or of "occluded"; the mean over cells."""
     height, width = output.coarse_match.shape[-2:]
     index, share = _padded(truth.coarse.cell, truth.coarse, height, width), truth.coarse.share
-    share, weight, hidden = (
-        F.pad(one, (0, width - one.shape[-1], 0, height - one.shape[-2]))
-        for one in (share, truth.coarse_weight, truth.coarse.hidden)
+    share, weight, occluded = (
+        F.pad(image, (0, width - image.shape[-1], 0, height - image.shape[-2]))
+        for image in (share, truth.coarse_weight, truth.coarse.occluded)
     )
     at, part = index.flatten(2).mT, share.flatten(2).mT
     scores = output.scores.gather(2, at)
-    part = part * (scores > _BARRED)  # beyond the window of windowed matching
+    part = part * (scores > _EXCLUDED)  # excluded: beyond the window of windowed matching
     found = (part * (2 * scores - output.rows[..., None] - output.columns.gather(1, at.flatten(1)).view_as(at))).sum(2)
     known = part.sum(2) > 0
-    lost = hidden.flatten(1)
-    # Two terms for a match, one for 'hidden', which has no column.
+    lost = occluded.flatten(1)
+    # A match has two terms; "occluded" has one, since it has no column.
     total = -torch.where(known, 0.5 * found, torch.where(lost, output.hidden - output.rows, 0.0))
     return _mean(total, weight.flatten(1) * (known | lost))
 
 
 def _padded(index: Tensor, cells: Cells, height: int, width: int) -> Tensor:
-    """Indices into the image's own cells -> into a grid with `width` columns, padded to (height, width)."""
+    """Indices into the image's own cells as indices into a grid with `width` columns, padded to (height, width)."""
     own = cells.seen.shape[-1]
     moved = index // own * width + index % own
     return F.pad(moved, (0, width - index.shape[-1], 0, height - index.shape[-2]))
 
 
 def window_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """-log of the true cell's probability in the last window, over cells whose match lies in it."""
+    """-log of the true cell's probability in the last window; the mean over cells whose match lies in it."""
     logits = output.window_logits
     if not logits.shape[1]:
         return logits.sum()
@@ -103,48 +103,48 @@ def window_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     return _mean(-(share * logs).sum(1) / share.sum(1).clamp_min(0.5), truth.fine_weight * known)
 
 
-def place_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """Metres from the expected to the true place, where the previous frame shows it; the mean of both grids."""
+def position_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
+    """Metres from the expected to the true position, if visible in the previous frame; the mean of both grids."""
     height, width = truth.coarse_weight.shape[-2:]
-    coarse = _length(output.coarse_match[..., :height, :width] - truth.coarse_place)
-    fine = _length(output.match - truth.fine_place)
+    coarse = _length(output.coarse_match[..., :height, :width] - truth.coarse_position)
+    fine = _length(output.match - truth.fine_position)
     return 0.5 * (
         _mean(coarse, truth.coarse_weight * truth.coarse.seen) + _mean(fine, truth.fine_weight * truth.fine.seen)
     )
 
 
-def reliability_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
+def match_confidence_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """Cross entropy of "this match is within 2 cm of the truth"."""
-    error = _length(output.match.detach() - truth.fine_place)
-    right = ((error < _RIGHT) & truth.fine.seen).float()
-    entropy = F.binary_cross_entropy_with_logits(output.reliability[:, 0], right, reduction="none")
+    error = _length(output.match.detach() - truth.fine_position)
+    correct = ((error < _CORRECT) & truth.fine.seen).float()
+    entropy = F.binary_cross_entropy_with_logits(output.reliability[:, 0], correct, reduction="none")
     return _mean(entropy, truth.fine_weight)
 
 
 def vote_terms(output: RigidMatchOutput, truth: RigidMatchTargets) -> dict[str, Tensor]:
-    """Votes' errors on objects, how sure to be of them, and foreground everywhere."""
+    """Foreground over all cells, errors of the votes on objects, and the votes' values as seeds."""
     inside = (truth.owner >= 0).float()
     error = _length(output.votes[:, :3] - truth.votes[:, :3]) + _length(output.votes[:, 3:] - truth.votes[:, 3:])
-    worth = inside * torch.exp(-error.detach() / _NEAR)
+    seed_target = inside * torch.exp(-error.detach() / _SEED_DECAY)
     entropy = F.binary_cross_entropy_with_logits
     return {
         "foreground": entropy(output.foreground[:, 0], inside),
         "votes": _mean(error, inside),
-        "seed": entropy(output.seed[:, 0], worth),
+        "seed": entropy(output.seed[:, 0], seed_target),
     }
 
 
 def object_terms(
     output: RigidMatchOutput, truth: RigidMatchTargets, prepared: Prepared, settings: RigidMatchLossSettings
 ) -> dict[str, Tensor]:
-    """Queries against objects: the assignment of every decoder layer, and what follows from it."""
+    """The terms of queries and objects, after the assignment in every decoder layer."""
     masks = truth.masks.flatten(2)
     present = masks.sum(2) > 0
     costs = mask_costs(output.masks.flatten(3), masks)
     total = settings.mask * costs.cross_entropy + settings.dice * costs.dice
     query = assign_queries(total - settings.objectness * output.objectness.sigmoid()[..., None], present)
     found = query >= 0
-    # Rows without an object read some query's numbers and weigh nothing.
+    # Rows without an object read the values of an arbitrary query, with weight 0.
     at = query.clamp_min(0)
     taken = torch.zeros_like(output.objectness).scatter_add_(2, at, found.to(output.objectness.dtype)) > 0
     weight = torch.where(taken, 1.0, settings.no_object)
@@ -158,17 +158,18 @@ def object_terms(
     terms["pixels"] = _pixel_term(output, prepared, last, kept)
     both = kept & truth.in_both
     terms["flow"] = flow_term(output, truth, last, both)
-    moves = F.binary_cross_entropy_with_logits(output.moves.gather(1, last), truth.moves.float(), reduction="none")
-    return terms | {"moves": _mean(moves, both)}
+    logits = output.moves.gather(1, last)
+    moving = F.binary_cross_entropy_with_logits(logits, truth.moving.float(), reduction="none")
+    return terms | {"moving": _mean(moving, both)}
 
 
 def _of(costs: Tensor, query: Tensor) -> Tensor:
-    """(L, B, Q, K) at (L, B, K) -> (L, B, K)."""
+    """(L, B, Q, K) costs at the queries (L, B, K) -> (L, B, K)."""
     return costs.gather(2, query[:, :, None])[:, :, 0]
 
 
 def _pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
-    """Cross entropy and dice of the matched masks at every pixel."""
+    """Cross entropy and dice of the matched masks at full resolution."""
     K = query.shape[1]
     chosen = output.masks[-1].gather(1, query[..., None, None].expand(-1, -1, *output.masks.shape[-2:]))
     index = prepared.targets.index
@@ -176,20 +177,20 @@ def _pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kep
     logits = mix_neighbors(chosen, output.upsampling)[..., :height, :width].flatten(2)
     true = (index[:, None] == torch.arange(K, device=index.device)[:, None, None]).flatten(2).to(logits.dtype)
     area, inside = true.sum(2), logits.sigmoid()
-    entropy = (F.softplus(logits) - logits * true).sum(2) / (area + logits.shape[2] / 32)
+    entropy = (F.softplus(logits) - logits * true).sum(2) / (area + AREA_OFFSET * logits.shape[2])
     dice = 1 - (2 * (inside * true).sum(2) + 1) / (inside.sum(2) + area + 1)
     return _mean(entropy + dice, kept)
 
 
 def flow_term(output: RigidMatchOutput, truth: RigidMatchTargets, query: Tensor, kept: Tensor) -> Tensor:
-    """Metres between the flow of each matched query's motion and the true one: mean of the objects' means."""
+    """Metres between the flow of each matched query's motion and the true flow: the mean of the objects' means."""
     batch, K = query.shape
     owner = truth.owner.clamp_min(0).flatten(1)
     own_query = query.gather(1, owner)
     R = output.rotation.flatten(2).gather(1, own_query[..., None].expand(-1, -1, 9)).reshape(batch, -1, 3, 3)
     t = output.translation.gather(1, own_query[..., None].expand(-1, -1, 3))
-    points, place = truth.points.flatten(2).mT, truth.fine_place.flatten(2).mT
-    error = ((R @ points[..., None])[..., 0] + t - place).square().sum(-1).clamp_min(1e-12).sqrt()
+    points, position = truth.points.flatten(2).mT, truth.fine_position.flatten(2).mT
+    error = ((R @ points[..., None])[..., 0] + t - position).square().sum(-1).clamp_min(1e-12).sqrt()
     counted = ((truth.owner >= 0) & truth.measured).flatten(1).float()
     zeros = error.new_zeros(batch, K)
     sums = zeros.scatter_add(1, owner, error * counted)
@@ -198,11 +199,11 @@ def flow_term(output: RigidMatchOutput, truth: RigidMatchTargets, query: Tensor,
 
 
 def _length(vectors: Tensor) -> Tensor:
-    """(B, 3, H, W) -> (B, H, W); the gradient is finite at 0."""
+    """Lengths of (B, 3, H, W) vectors as (B, H, W), with a finite gradient at 0."""
     return vectors.square().sum(1).clamp_min(1e-12).sqrt()
 
 
 def _mean(values: Tensor, weights: Tensor) -> Tensor:
-    """The weighted mean; 0 where nothing weighs."""
+    """The weighted mean; 0 if all weights are 0."""
     weights = weights.to(values.dtype)
     return (values * weights).sum() / weights.sum().clamp_min(1e-6)

@@ -1,4 +1,4 @@
-"""What `RigidMatch` should say, on its grids: true cells, true places, masks; from exact depth and motion."""
+"""Targets of `RigidMatch` on its grids: true cells, positions, masks and votes, from exact depth and motion."""
 
 from __future__ import annotations
 
@@ -7,53 +7,53 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from objectflow.alignment.moved import STATIC_DISPLACEMENT
+from objectflow.geometry.moved import STATIC_DISPLACEMENT
 from objectflow.training.step import Prepared
 
-_LEAST_SHARE = 0.1
-"""Of a match that has to fall on cells of the same object with depth, or it teaches no cell."""
+_MIN_SHARE = 0.1
+"""Minimum bilinear share of a match on cells of the same object with depth; with less it has no target cell."""
 
 
 class Cells(NamedTuple):
-    """Where the matches of a grid's cells lie among the previous frame's cells; h, w of the current grid.
+    """The true matches of a grid's cells in the previous frame's grid; h, w are those of the current grid.
 
     Attributes:
-        cell: (B, 4, h, w) int64 into the previous grid, row first.
-        share: (B, 4, h, w) bilinear, only of cells with depth and of the same object; sums to 1, or to 0 where no
-            cell is known.
-        hidden: (B, h, w) bool: the previous frame does not show the point.
-        seen: (B, h, w) bool: it does.
+        cell: (B, 4, h, w) int64 indices of the four surrounding cells in the previous grid, rows first.
+        share: (B, 4, h, w) bilinear shares of cells with depth and of the same object; the sum is 1, or 0 if no such
+            cell exists.
+        occluded: (B, h, w) bool: the point has depth and is not visible in the previous frame.
+        seen: (B, h, w) bool: the point is visible in the previous frame.
         column, row: (B, h, w) the match in cells; 0 where not seen.
     """
 
     cell: Tensor
     share: Tensor
-    hidden: Tensor
+    occluded: Tensor
     seen: Tensor
     column: Tensor
     row: Tensor
 
 
 class RigidMatchTargets(NamedTuple):
-    """Of a batch.
+    """The targets of a batch; H, W are those of the fine grid.
 
     Attributes:
         coarse, fine: matches of both grids.
-        coarse_place, fine_place: (B, 3, h, w) metres: where each cell's point was.
-        coarse_weight, fine_weight: (B, h, w) of each cell in means over matches; 0 without exact depth.
+        coarse_position, fine_position: (B, 3, h, w) metres: each cell's point in the previous frame.
+        coarse_weight, fine_weight: (B, h, w) weight of each cell in means over matches; 0 without exact depth.
         points: (B, 3, H, W) metres, exact points of the fine grid; 0 where missing.
-        measured: (B, H, W) bool: where there are.
+        measured: (B, H, W) bool: where there is an exact point.
         owner: (B, H, W) int64 row in the object table, -1 for the background.
-        masks: (B, K, H, W) float: each object's cells; all 0 for rows without any.
+        masks: (B, K, H, W) float: each object's cells; all 0 for rows without cells.
         votes: (B, 6, H, W) metres: [X, X + T].
-        in_both: (B, K) bool: the previous frame shows the object too.
-        moves: (B, K) bool: its points move by more than a depth camera can tell.
+        in_both: (B, K) bool: the object is visible in the previous frame too.
+        moving: (B, K) bool: its mean displacement exceeds `STATIC_DISPLACEMENT`.
     """
 
     coarse: Cells
     fine: Cells
-    coarse_place: Tensor
-    fine_place: Tensor
+    coarse_position: Tensor
+    fine_position: Tensor
     coarse_weight: Tensor
     fine_weight: Tensor
     points: Tensor
@@ -62,22 +62,22 @@ class RigidMatchTargets(NamedTuple):
     masks: Tensor
     votes: Tensor
     in_both: Tensor
-    moves: Tensor
+    moving: Tensor
 
 
 def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) -> RigidMatchTargets:
-    """The truth of a batch for grids of `stride` and half of it; cells beyond the image's edge do not exist.
+    """The targets of a batch for grids of `stride` and of half of it, without cells beyond the image's edge.
 
     Args:
         prepared: from `prepare`.
-        stride: pixels a coarse cell.
-        background: weight of a match off the objects, beside 1 on them.
+        stride: pixels per coarse cell.
+        background: weight of a match off the objects; the weight on objects is 1.
     """
     targets, fine = prepared.targets, stride // 2
     points = prepared.points
     measured = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
     safe = torch.where(measured[:, None], points, torch.zeros_like(points))
-    place = safe + targets.flow
+    position = safe + targets.flow
     weight = torch.where(targets.mask, 1.0, background) * measured
     index = targets.index[:, ::fine, ::fine]
     K = prepared.batch.table.label.shape[1]
@@ -88,8 +88,8 @@ def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) 
     return RigidMatchTargets(
         coarse=true_cells(prepared, stride),
         fine=true_cells(prepared, fine),
-        coarse_place=place[..., ::stride, ::stride],
-        fine_place=place[..., ::fine, ::fine],
+        coarse_position=position[..., ::stride, ::stride],
+        fine_position=position[..., ::fine, ::fine],
         coarse_weight=weight[:, ::stride, ::stride],
         fine_weight=weight[:, ::fine, ::fine],
         points=safe[..., ::fine, ::fine],
@@ -98,14 +98,15 @@ def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) 
         masks=masks,
         votes=torch.cat([targets.center, targets.center + targets.translation], dim=1)[..., ::fine, ::fine],
         in_both=prepared.batch.table.in_both,
-        moves=mean_length > STATIC_DISPLACEMENT,
+        moving=mean_length > STATIC_DISPLACEMENT,
     )
 
 
 def true_cells(prepared: Prepared, stride: int) -> Cells:
     """The cells around each true match, with bilinear shares.
 
-    A share that falls on another object's cell, or on one whose depth the network is not shown, goes to the others.
+    Cells of other objects, and cells whose depth is missing in the network's input, pass their shares on to the
+    remaining cells.
     """
     where = prepared.matches[..., ::stride, ::stride] / stride
     labels = prepared.batch.curr_labels[:, ::stride, ::stride]
@@ -128,5 +129,5 @@ def true_cells(prepared: Prepared, stride: int) -> Cells:
         share.append(part * (inside & same & there & seen))
     shares = torch.stack(share, dim=1)
     total = shares.sum(1, keepdim=True)
-    shares = torch.where(total > _LEAST_SHARE, shares / total.clamp_min(_LEAST_SHARE), torch.zeros_like(shares))
+    shares = torch.where(total > _MIN_SHARE, shares / total.clamp_min(_MIN_SHARE), torch.zeros_like(shares))
     return Cells(torch.stack(index, dim=1), shares, depth & ~seen, seen, column, row)

@@ -1,10 +1,8 @@
-"""A run's output folder: its settings, its metrics line by line; taken up again only by the run that made it."""
+"""A training run's output folder: settings, metrics line by line, checkpoints; only the same run may continue it."""
 
 from __future__ import annotations
 
-import fcntl
 import json
-import math
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,15 +11,24 @@ from typing import Any
 
 from objectflow.errors import StorageError, TrainingError
 from objectflow.storage import files
+from objectflow.storage.locked_folder import FolderKind, locked_folder
+from objectflow.storage.serialize import to_plain
 from objectflow.training.checkpoint import checkpoints, remove_leftovers
 from objectflow.training.recipe import FREE
 
-SETTINGS, METRICS, WEIGHTS, CURVE = "settings.json", "metrics.jsonl", "weights.safetensors", "loss_curve.png"
+METRICS, WEIGHTS, CURVE = "metrics.jsonl", "weights.safetensors", "loss_curve.png"
 CHECKPOINTS = "checkpoints"
+TRAINING_FOLDER = FolderKind(
+    error=TrainingError,
+    content="a run",
+    foreign="holds no run",
+    busy="another process trains there",
+    target="--out",
+)
 
 
 class RunFolder:
-    """The files of one run. Only the first process has one."""
+    """The files of one run. Only the process of rank 0 has one."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -29,16 +36,16 @@ class RunFolder:
         self._metrics = path / METRICS
 
     def append(self, line: Mapping[str, Any]) -> None:
-        """Add a line to the metrics; numbers that are not finite become null.
+        """Add a line to the metrics; non-finite numbers become null.
 
         Raises:
-            StorageError: the disk refused.
+            StorageError: reading or writing failed.
         """
-        data = (json.dumps(_finite(dict(line))) + "\n").encode()
+        data = (json.dumps(to_plain(line)) + "\n").encode()
         try:
             descriptor = os.open(self._metrics, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
             try:
-                # One write a line: a killed process leaves all of it or nothing.
+                # With one write per line, a killed process leaves a whole line or none.
                 if os.write(descriptor, data) != len(data):
                     raise StorageError(f"cannot write {self._metrics}: no room on the disk")
             finally:
@@ -47,14 +54,18 @@ class RunFolder:
             raise StorageError(f"cannot write {self._metrics}: {error.strerror or error}") from error
 
     def cut(self, step: int) -> None:
-        """Remove lines of later steps, which a continued run writes anew, and a last line that a power cut tore."""
+        """Remove the lines of later steps, which a continued run writes again, and a line torn by a power cut."""
         if self._metrics.exists():
             kept = [line for line in read_metrics(self.path) if line["step"] <= step]
             files.write_text(self._metrics, "".join(json.dumps(line) + "\n" for line in kept))
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:
-    """The lines of a run's metrics, in order; none where there are none yet."""
+    """The lines of a run's metrics, in order; an empty list before the first one.
+
+    Raises:
+        StorageError: the file cannot be read.
+    """
     try:
         text = (path / METRICS).read_text()
     except FileNotFoundError:
@@ -72,48 +83,33 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
 
 @contextmanager
 def opened(path: Path, settings: Mapping[str, Any], *, resume: bool) -> Iterator[RunFolder]:
-    """Make the folder of a new run, or take up the same run's; hold it for this process.
+    """Create the folder of a new run, or continue the same run; hold it for this process.
 
     Args:
         path: the folder.
         settings: everything that the weights depend on, as plain JSON.
-        resume: an earlier part of the same run may be there.
+        resume: whether the folder may hold an earlier part of the same run.
 
     Raises:
-        TrainingError: the folder holds something else, a run with other settings (the message names the field), this
-            run although `resume` is false, or another process writes there.
-        StorageError: the disk refused.
+        TrainingError: the folder holds something else, a run with other settings (the message names the field), or
+            this run although `resume` is false; or another process trains there.
+        StorageError: reading or writing failed.
     """
-    if not path.is_dir() or not any(path.iterdir()):
-        with files.new_folder(path) as folder:
-            files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-            (folder / CHECKPOINTS).mkdir()
-    else:
-        _check_same(path, settings)
+
+    def check(earlier: dict[str, Any]) -> None:
+        _check_same(path, settings, earlier)
         if not resume:
             last = checkpoints(path / CHECKPOINTS)[-1:]
             done = f" ({last[0].name})" if last else ""
             raise TrainingError(f"{path} holds this run already{done}: add --resume, or name another --out")
-    try:
-        with open(path / SETTINGS) as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise TrainingError(f"{path}: another process trains there: wait, or name another --out") from None
-            (path / CHECKPOINTS).mkdir(exist_ok=True)
-            remove_leftovers(path / CHECKPOINTS)
-            yield RunFolder(path)
-    except OSError as error:
-        raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+
+    with locked_folder(path, settings, TRAINING_FOLDER, check=check):
+        (path / CHECKPOINTS).mkdir(exist_ok=True)
+        remove_leftovers(path / CHECKPOINTS)
+        yield RunFolder(path)
 
 
-def _check_same(path: Path, settings: Mapping[str, Any]) -> None:
-    try:
-        earlier = json.loads((path / SETTINGS).read_text())
-    except FileNotFoundError:
-        raise TrainingError(f"{path} exists and holds no run: name another --out") from None
-    except (OSError, ValueError) as error:
-        raise TrainingError(f"{path / SETTINGS}: cannot be read: {error}") from error
+def _check_same(path: Path, settings: Mapping[str, Any], earlier: Mapping[str, Any]) -> None:
     before, now = _flat(earlier), _flat(settings)
     for name in sorted(before.keys() | now.keys()):
         if name.removeprefix("recipe.") not in FREE and before.get(name) != now.get(name):
@@ -134,9 +130,3 @@ def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
 
 def _shown(value: Any) -> str:
     return "none" if value is None else json.dumps(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value

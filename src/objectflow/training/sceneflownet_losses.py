@@ -1,10 +1,10 @@
-"""The paper's training loss (section IV-C), each term by its name; no loop over objects.
+"""The paper's training loss (section IV-C), each term by its name, without a loop over objects.
 
-What is summed over what: every pixel-wise term is the mean over a pair's foreground pixels (the mask's: over all
-pixels), so large objects count for more, as in the paper's sums over pixels; L_var is the sum over a pair's objects of
-their pixels' mean, as written. Both are averaged over the pairs of a batch, each pair counting the same, so that the
-mean over machines equals the joint batch. The paper writes L_vio as a sum over pixels, and L_p without a sum; here
-both are means over the same pixels: as a bare sum, over some ten thousand of them, L_vio would outweigh all else.
+Every pixel-wise term is the mean over a pair's foreground pixels (the mask's: over all pixels), so large objects have
+more weight, as in the paper's sums over pixels. L_var is the sum over a pair's objects of the mean over their pixels,
+as in the paper. All terms are then averaged over the pairs of a batch with equal weights, so that the mean over
+machines equals the loss of the joint batch. The paper writes L_vio as a sum over pixels and L_p without a sum; here
+both are means over the same pixels, since a sum over some ten thousand pixels would outweigh all other terms.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from objectflow.methods.sceneflownet.grouping import trajectory_feature
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput, scene_flow
 from objectflow.training.sceneflownet_match_loss import match_loss
 
-_SLOTS = 256
-"""Rows of any object table: labels are stored in 8 bits. A fixed number spares a GPU the wait for the true one."""
-_FREE = 1 / 5
-"""Of B: this near to the truth, a pixel's trajectory is no violation."""
+_MAX_OBJECTS = 256
+"""Maximum number of rows of an object table (labels have 8 bits); a constant avoids a GPU synchronisation."""
+_TOLERANCE = 1 / 5
+"""Largest distance to the true trajectory, relative to B, that is not a violation."""
 
 
 @dataclass(frozen=True)
 class SceneFlowNetLossSettings:
-    """Weights of the terms, by their names in `sceneflownet_losses`, and their forms; the defaults are the paper's.
+    """Weights of the terms, by their names in `sceneflownet_losses`, and their form; the defaults are the paper's.
 
     Raises:
         MethodError: a weight that is negative or not finite.
@@ -38,38 +38,36 @@ class SceneFlowNetLossSettings:
     mask: float = 1.0
     """L_m: cross entropy of foreground and background."""
     centrality: float = 1.0
-    """L_center: cross entropy of eta, near the object's centroid or not. The paper names no value."""
+    """L_center: cross entropy of eta, near the object's centroid or not. The paper gives no value."""
     rotation: float = 0.1
-    """Q, radians of axis-angle."""
+    """Error of Q, radians of axis-angle."""
     translation: float = 100.0
-    """T, metres."""
+    """Error of T, metres."""
     center: float = 10.0
-    """X, metres."""
+    """Error of X, metres."""
     flow: float = 10.0
-    """S of equation 1, metres; its gradient reaches Q, T and X."""
+    """Error of S of equation 1, metres; its gradient reaches Q, T and X."""
     radius: float = 1.0
-    """B, metres."""
+    """Error of B, metres."""
     trajectory: float = 1.0
-    """xi = [X, X + T], metres."""
+    """Error of xi = [X, X + T], metres."""
     variance: float = 0.1
-    """L_var: the spread of xi within an object."""
+    """L_var: the variance of xi within an object."""
     violation: float = 0.1
-    """L_vio: the way of xi to the truth, where it is further than B / 5."""
+    """L_vio: the error of xi where it exceeds B / 5."""
     vl: bool = True
-    """With L_var and L_vio, the paper's +vL. Otherwise neither is computed."""
+    """Include L_var and L_vio, the paper's +vL."""
     squared: bool = False
-    """Square the differences of Q, T, X, S, B and xi, as the authors' code does; their text says L2-norm."""
+    """Square the errors of Q, T, X, S, B and xi, as the authors' code does; their text says L2-norm."""
     match: float = 0.0
     """Not in the paper: cross entropy of the correlation over its patch, against the true match of each foreground
-    cell. It tells colour features at once what they are for; without it they have to learn that
-    through the max-pool and the hourglass."""
+    cell. It trains the colour features directly instead of through the max-pool and the hourglass."""
     rotation_weight: float = 0.0
-    """Metres a radian: rotation joins xi with this weight. The grouping and the targets' B need the same value."""
+    """Metres per radian of rotation in xi. Targets and grouping use the same value."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            # Written so that NaN fails too.
-            if not 0 <= getattr(self, field.name) < float("inf"):
+            if not 0 <= getattr(self, field.name) < float("inf"):  # NaN fails this comparison too
                 raise MethodError(
                     f"loss setting {field.name} must be finite and >= 0, not {getattr(self, field.name)}"
                 )
@@ -86,22 +84,22 @@ def sceneflownet_losses(
 ) -> dict[str, Tensor]:
     """Every term of the loss, and their weighted sum.
 
-    All but the mask's look only at the truth's foreground, and the flow's only where there is a point. The terms are
-    computed in float32, under autocast too. Rotations are compared as axis-angle vectors, as in the paper: near half
-    a turn two vectors far apart may mean nearly the same rotation.
+    All terms except the mask's are restricted to the true foreground, and the flow's to pixels with depth. The terms
+    are computed in float32, also under autocast. Rotations are compared as axis-angle vectors, as in the paper: near
+    half a turn, distant vectors may represent nearly the same rotation.
 
     Args:
         output: the network's maps.
         targets: from `make_targets`, with the same rotation weight.
         points: (B, 3, H, W) metres, the current frame's exact points; NaN or z <= 0 where depth is missing.
         settings: the paper's when None.
-        correlation: from `SceneFlowNet.predict`, for the match term, which is left out without it.
-        matches: (B, 2, H, W) from `previous_pixels`, likewise.
+        correlation: from `SceneFlowNet.predict`, for the match term, which is omitted without it.
+        matches: (B, 2, H, W) from `previous_pixels`, for the match term.
 
     Returns:
         Scalars without gradient, unweighted, named as the weights of `SceneFlowNetLossSettings` (without "variance"
-        and "violation" where `vl` is off); and "total", weighted, with gradient. All are finite where no pixel is
-        foreground.
+        and "violation" if `vl` is off); and "total", weighted, with gradient. All are finite even without foreground
+        pixels.
     """
     settings = settings or SceneFlowNetLossSettings()
     with torch.autocast(points.device.type, enabled=False):
@@ -118,11 +116,11 @@ def _terms(
 ) -> dict[str, Tensor]:
     inside = targets.mask
     measured = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
-    # No NaN may enter, not even where its weight is 0: its gradient would be NaN.
+    # NaN must not enter even with weight 0, since its gradient would be NaN.
     points = torch.where(measured[:, None], points, 0.0)
     flow = scene_flow(output.rotation, output.translation, output.center, points)
     weight = settings.rotation_weight
-    off = trajectory_feature(
+    error = trajectory_feature(
         output.center - targets.center,
         output.translation - targets.translation,
         output.rotation - targets.rotation,
@@ -140,45 +138,47 @@ def _terms(
         "center": pixelwise(output.center - targets.center, inside),
         "flow": pixelwise(flow - targets.flow, inside & measured),
         "radius": pixelwise(output.radius - targets.radius, inside),
-        "trajectory": pixelwise(off, inside),
+        "trajectory": pixelwise(error, inside),
     }
     if settings.vl:
-        # The truth is one value an object, so the spread of what is off is the spread of xi, with more digits.
-        terms["variance"] = _spread_within(off, targets.index)
-        distance = _norm(off)
-        violating = inside & (distance.detach() > _FREE * targets.radius[:, 0])
+        # The truth is constant within an object, so the error has the variance of xi, with more significant digits.
+        terms["variance"] = _variance_within(error, targets.index)
+        distance = _norm(error)
+        violating = inside & (distance.detach() > _TOLERANCE * targets.radius[:, 0])
         terms["violation"] = _mean_over(torch.where(violating, distance, 0.0), inside)
     return terms
 
 
 def _norm(vectors: Tensor) -> Tensor:
-    """(B, C, H, W) -> (B, H, W) lengths, with gradient 0 at 0; many times faster than `torch.linalg` over channels."""
+    """Lengths of (B, C, H, W) as (B, H, W), with gradient 0 at 0; much faster than `torch.linalg` over channels."""
     squared = vectors.square().sum(1)
-    some = squared > 0
-    return torch.where(some, torch.where(some, squared, 1.0).sqrt(), 0.0)
+    nonzero = squared > 0
+    return torch.where(nonzero, torch.where(nonzero, squared, 1.0).sqrt(), 0.0)
 
 
 def _mean_over(values: Tensor, where: Tensor) -> Tensor:
-    """Mean of (B, H, W) over a pair's pixels, then over the pairs; a pair without such pixels counts as 0."""
+    """Mean of (B, H, W) over a pair's pixels, then over the pairs; a pair without such pixels contributes 0."""
     weight = where.to(values.dtype)
     total = (values * weight).sum(dim=(1, 2))
     mean: Tensor = (total / weight.sum(dim=(1, 2)).clamp_min(1)).mean()
     return mean
 
 
-def _spread_within(feature: Tensor, index: Tensor) -> Tensor:
-    """L_var: the sum over objects of the mean squared distance to the object's own mean; mean over the pairs.
+def _variance_within(feature: Tensor, index: Tensor) -> Tensor:
+    """L_var: the sum over objects of the mean squared distance to the object's mean; averaged over the pairs.
 
-    (B, D, H, W) and the (B, H, W) row of each pixel's object, -1 for none.
+    Args:
+        feature: (B, D, H, W).
+        index: (B, H, W) row of each pixel's object, -1 for none.
     """
     inside = (index >= 0).flatten(1)
     slot = index.flatten(1).clamp_min(0)
     flat = feature.flatten(2)
     with torch.no_grad():
-        count = flat.new_zeros(len(flat), _SLOTS).scatter_add_(1, slot, inside.to(flat.dtype))
+        count = flat.new_zeros(len(flat), _MAX_OBJECTS).scatter_add_(1, slot, inside.to(flat.dtype))
         share = inside / count.gather(1, slot).clamp_min(1)
         wide = slot[:, None].expand_as(flat)
-        mean = flat.new_zeros(*flat.shape[:2], _SLOTS).scatter_add_(2, wide, flat * share[:, None])
-        # The mean needs no gradient: distances to it add up to 0 whichever way it moves.
+        mean = flat.new_zeros(*flat.shape[:2], _MAX_OBJECTS).scatter_add_(2, wide, flat * share[:, None])
+        # The mean needs no gradient, since the distances to it sum to 0.
         mean = mean.gather(2, wide)
     return ((flat - mean).square().sum(1) * share).sum(1).mean()

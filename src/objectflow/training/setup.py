@@ -1,10 +1,10 @@
-"""What a run trains with: the network, its compiled form, the optimiser."""
+"""What a run trains with: the network in its adapter, its compiled form, and the optimiser."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,51 +14,68 @@ from torch import Tensor, nn
 from objectflow.errors import MethodError
 from objectflow.networks import SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
-from objectflow.networks.sceneflownet.settings import NetworkSettings
-from objectflow.networks.weights import Network, load_network
-from objectflow.training.adapters import tensors_of
-from objectflow.training.parallel import Process, normalised_together
+from objectflow.networks.weights import load_network
+from objectflow.training.adapters import NetworkAdapter, RigidMatchAdapter, SceneFlowNetAdapter
+from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.parallel import Process, synchronize_batch_norm
 from objectflow.training.recipe import Recipe
 
 
-def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> Network:
-    """The network with first weights, the same in every process, on its device.
+def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> NetworkAdapter:
+    """The network with its initial weights, the same in every process, on its device, in training mode.
 
     Args:
-        recipe: its settings and the seed of its random weights.
-        process: where it goes.
+        recipe: its model and the seed of its random weights.
+        process: this process, with its device.
         backbone: torchvision's `resnet50` state dict for the colour trunk.
-        start: weights of an earlier run to begin with.
+        start: weights of an earlier run to start from.
 
     Raises:
         MethodError: a file that does not fit; the message names the field or the tensor.
     """
-    settings = recipe.network_settings
     generator = torch.Generator().manual_seed(recipe.seed)
-    network: Network
-    if start is not None:
-        network, _ = load_network(start, settings=settings)
-    elif isinstance(settings, NetworkSettings):
-        network = SceneFlowNet(settings, generator=generator)
-    else:
-        network = RigidMatch(settings, generator=generator)
-    if backbone is not None:
-        if not isinstance(network, SceneFlowNet):
-            raise MethodError(f"{backbone}: rigidmatch has no ResNet-50 trunk: leave backbone weights out")
-        network.load_backbone(backbone)
+    adapter: NetworkAdapter
+    match recipe.model:
+        case SceneFlowNetConfig() as paper:
+            adapter = SceneFlowNetAdapter(_sceneflownet(paper, generator, backbone, start), paper)
+            has_batch_norm = paper.network.trunk_norm == "batch"
+        case RigidMatchConfig() as rigid:
+            if backbone is not None:
+                raise MethodError(f"{backbone}: rigidmatch has no ResNet-50 trunk: leave backbone weights out")
+            adapter = RigidMatchAdapter(_rigidmatch(rigid, generator, start), rigid)
+            has_batch_norm = True
+    network = adapter.network
     network.to(process.device).train()
     if recipe.channels_last:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    if not isinstance(settings, NetworkSettings) or settings.trunk_norm == "batch":
-        normalised_together(network, process)
+    if has_batch_norm:
+        synchronize_batch_norm(network, process)
+    return adapter
+
+
+def _sceneflownet(
+    config: SceneFlowNetConfig, generator: torch.Generator, backbone: Path | None, start: Path | None
+) -> SceneFlowNet:
+    if start is not None:
+        network, _ = load_network(start, settings=config.network)
+    else:
+        network = SceneFlowNet(config.network, generator=generator)
+    if backbone is not None:
+        network.load_backbone(backbone)
     return network
 
 
+def _rigidmatch(config: RigidMatchConfig, generator: torch.Generator, start: Path | None) -> RigidMatch:
+    if start is not None:
+        return load_network(start, settings=config.network)[0]
+    return RigidMatch(config.network, generator=generator)
+
+
 def build_optimizer(recipe: Recipe, network: nn.Module, device: torch.device) -> torch.optim.Optimizer:
-    """Adam or AdamW; biases and normalisation, being vectors, are not decayed. One kernel for all on CUDA."""
+    """Adam or AdamW, fused on CUDA; biases and normalisation, which are vectors, have no weight decay."""
     kinds: dict[str, Any] = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW}
-    matrices = [one for one in network.parameters() if one.ndim > 1]
-    vectors = [one for one in network.parameters() if one.ndim <= 1]
+    matrices = [parameter for parameter in network.parameters() if parameter.ndim > 1]
+    vectors = [parameter for parameter in network.parameters() if parameter.ndim <= 1]
     groups = [
         {"params": matrices, "weight_decay": recipe.weight_decay},
         {"params": vectors, "weight_decay": 0.0},
@@ -70,37 +87,48 @@ def build_optimizer(recipe: Recipe, network: nn.Module, device: torch.device) ->
 
 
 def precision(recipe: Recipe, device: torch.device) -> contextlib.AbstractContextManager[Any]:
-    """The numbers that the network computes with."""
+    """The context in which the network computes: autocast to bfloat16, or nothing."""
     if recipe.precision == "bf16":
         return torch.autocast(device.type, torch.bfloat16)
     return contextlib.nullcontext()
 
 
 def compiled(
-    network: nn.Module, recipe: Recipe, images: tuple[Tensor, ...], device: torch.device, note: Callable[[str], None]
+    module: nn.Module, recipe: Recipe, images: tuple[Tensor, ...], device: torch.device, note: Callable[[str], None]
 ) -> nn.Module:
-    """The network compiled and tried forward and backward, or as it is where that fails.
+    """The module compiled and tried forward and backward; the module itself if that fails.
 
     Args:
-        network: as training calls it; its weights, running statistics and gradients are left as they were.
-        recipe: whether, and with what precision.
-        images: the network's arguments, of the sizes that training has.
-        device: theirs.
-        note: told in one line why the network runs uncompiled.
+        module: as training calls it; its weights, running statistics and gradients do not change.
+        recipe: whether to compile, and with what precision.
+        images: the module's arguments, of the sizes used in training.
+        device: the device of both.
+        note: receives one line with the reason if compilation fails.
     """
     if not recipe.compile:
-        return network
-    before = copy.deepcopy(network.state_dict())
-    out: Any = network
+        return module
+    before = copy.deepcopy(module.state_dict())
+    out: Any = module
     try:
-        candidate = torch.compile(network)
+        candidate = torch.compile(module)
         with precision(recipe, device):
             output = candidate(*images)
-        torch.stack([one.float().square().mean() for one in tensors_of(output)]).sum().backward()  # type: ignore[no-untyped-call]
+        squares = [tensor.float().square().mean() for tensor in tensors_of(output)]
+        torch.stack(squares).sum().backward()  # type: ignore[no-untyped-call]
         out = candidate
     except Exception as error:
         reason = (str(error).splitlines() or [""])[0]
-        note(f"torch.compile failed, going on without: {type(error).__name__}: {reason}")
-    network.zero_grad(set_to_none=True)
-    network.load_state_dict(before)
+        note(f"torch.compile failed, running uncompiled: {type(error).__name__}: {reason}")
+    module.zero_grad(set_to_none=True)
+    module.load_state_dict(before)
     return out  # type: ignore[no-any-return]
+
+
+def tensors_of(output: Any) -> Iterator[Tensor]:
+    """All tensors with gradient in a network's output, however nested."""
+    for value in output:
+        if isinstance(value, Tensor):
+            if value.requires_grad:
+                yield value
+        elif value is not None:
+            yield from tensors_of(value)

@@ -1,4 +1,4 @@
-"""One training step's parts: augment, show, tell; the same for validation, without chance."""
+"""Preparation of a batch for one step: augmentation, sensor noise and targets; without randomness for validation."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from objectflow.training.recipe import Recipe
 
 
 class Prepared(NamedTuple):
-    """A batch as the network and the losses need it.
+    """A batch in the form that the network and the losses need.
 
     Attributes:
         images: the network's four arguments.
         points: (B, 3, H, W) metres, the current frame's exact points; NaN where depth is missing.
         targets: made from them.
-        matches: (B, 2, H, W) column and row of each point in the previous image, NaN where it cannot be seen there.
-        batch: the exact frames, as augmented.
+        matches: (B, 2, H, W) column and row of each point in the previous image, NaN where it is not visible there.
+        batch: the exact frames, after augmentation.
     """
 
     images: tuple[Tensor, Tensor, Tensor, Tensor]
@@ -34,24 +34,24 @@ class Prepared(NamedTuple):
 
 
 def step_generator(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
-    """The random numbers of one step of one process; no state has to be kept from step to step."""
+    """The random numbers of one step of one process; they depend on no earlier step."""
     mixed = np.random.SeedSequence([seed, step, rank]).generate_state(1, np.uint64)[0]
     return torch.Generator(device).manual_seed(int(mixed) >> 1)
 
 
 def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> Prepared:
-    """Augment a batch, show it with sensor noise, and make its targets.
+    """Augment a batch, add sensor noise to the network's inputs, and make the targets.
 
     Args:
         batch: on the device.
-        recipe: its augmentation and losses.
+        recipe: its augmentation and model.
         generator: on the device; None leaves frames as they are stored.
     """
     if generator is not None:
         batch = augment(batch, recipe.augment, generator)
     seen = network_inputs(batch, recipe.augment, generator)
     targets = make_targets(
-        batch.table, batch.curr_labels, seen.exact_points, rotation_weight=recipe.loss.rotation_weight
+        batch.table, batch.curr_labels, seen.exact_points, rotation_weight=recipe.model.rotation_weight
     )
     targets = with_camera(targets, seen.exact_points, batch.camera_motion)
     images = (seen.prev_color, seen.prev_points, seen.curr_color, seen.curr_points)

@@ -1,4 +1,4 @@
-"""What a network is worth on pairs that it does not train on: losses, and the metrics of `objectflow evaluate`."""
+"""Validation: a network's losses, and the metrics of `objectflow evaluate`, on pairs that it is not trained on."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ import torch
 from objectflow.dataset.batches import Batch
 from objectflow.evaluation.metrics.flow_metrics import score_flow
 from objectflow.evaluation.metrics.segmentation_metrics import score_segmentation
-from objectflow.networks.weights import Network
-from objectflow.training.adapters import Output, losses_of, motion_of, trained_form
+from objectflow.motion import SceneMotion
+from objectflow.training.adapters import NetworkAdapter
 from objectflow.training.parallel import Process
 from objectflow.training.recipe import Recipe
 from objectflow.training.setup import precision
 from objectflow.training.step import Prepared, prepare
+from objectflow.typing import LabelImage
 
 
 @dataclass(frozen=True)
@@ -26,12 +27,12 @@ class Validation:
     """Means over pairs.
 
     Attributes:
-        pairs: how many.
+        pairs: number of pairs.
         losses: every term and "total".
-        epe_cm: end point error on objects that both frames see, with each object's mean motion.
-        zero_epe_cm: the same of no motion at all.
-        mean_f: Bideau et al. 2018.
-        extracted, true_objects: objects found with F >= 0.75, and how many there are.
+        epe_cm: end-point error on objects visible in both frames, with each object's mean motion.
+        zero_epe_cm: the same error for zero flow.
+        mean_f: mean F-measure of Bideau et al. 2018.
+        extracted, true_objects: number of objects found with F >= 0.75, and of all objects.
     """
 
     pairs: int
@@ -44,31 +45,32 @@ class Validation:
 
     @property
     def score(self) -> float:
-        """What the best weights have least of: the error relative to no motion's, less the mean F.
+        """Selection criterion, lower is better: the error relative to zero flow's, minus the mean F-measure.
 
-        Both parts are about 1 wide. The error alone would call the first weights the best, which find nothing, where
-        training never beats zero flow.
+        Both parts range over about 1. The error alone would select the initial weights, which find nothing, in a run
+        that never beats zero flow.
         """
         relative = self.epe_cm / self.zero_epe_cm if self.zero_epe_cm > 0 else 1.0
         return relative - self.mean_f
 
     def to_dict(self) -> dict[str, Any]:
-        """As a line of metrics, with the share of objects extracted."""
+        """The fields as a line of metrics, with the share of objects extracted."""
         return {**vars(self), "extracted_share": self.extracted / max(1, self.true_objects)}
 
 
-def validate(network: Network, batches: Iterable[Batch], recipe: Recipe, process: Process) -> Validation:
-    """Run a network over pairs as they are stored.
+def validate(adapter: NetworkAdapter, batches: Iterable[Batch], recipe: Recipe, process: Process) -> Validation:
+    """Run a network on pairs as they are stored.
 
     Args:
-        network: without wrappers; it is left in the mode in which it was.
-        batches: this process's share; may be empty where there are others.
+        adapter: of the network without wrappers, which keeps its mode.
+        batches: this process's share; may be empty if there are other processes.
         recipe: of the run.
-        process: where to compute; all processes' shares are counted together.
+        process: where to compute; the shares of all processes are averaged together.
 
     Raises:
         TrainingError, DatasetError: pairs that cannot be read.
     """
+    network = adapter.network
     was_training = network.training
     network.eval()
     sums: dict[str, float] = defaultdict(float)
@@ -77,40 +79,39 @@ def validate(network: Network, batches: Iterable[Batch], recipe: Recipe, process
             for batch in batches:
                 prepared = prepare(batch.to(process.device), recipe, None)
                 with precision(recipe, process.device):
-                    output = trained_form(network)(*prepared.images)
-                for name, value in losses_of(output, prepared, recipe).items():
+                    output = adapter.module(*prepared.images)
+                for name, value in adapter.losses(output, prepared).items():
                     sums[f"loss.{name}"] += float(value) * len(batch)
                 for index in range(len(batch)):
-                    _add(sums, _score(output, prepared, batch.curr_labels[index].cpu().numpy(), index, recipe))
+                    labels = batch.curr_labels[index].cpu().numpy().astype(np.int32)
+                    motion = adapter.to_motion(output, prepared, index)
+                    _add(sums, _score(motion, labels, prepared, index))
     finally:
         network.train(was_training)
     return _means(sums, process)
 
 
-def _score(
-    output: Output, prepared: Prepared, labels: np.ndarray[Any, np.dtype[Any]], index: int, recipe: Recipe
-) -> dict[str, float]:
-    """One pair's numbers, and how many pairs each counts for."""
-    motion = motion_of(output, prepared, recipe, index)
+def _score(motion: SceneMotion, labels: LabelImage, prepared: Prepared, index: int) -> dict[str, float]:
+    """The metrics of one pair, and the number of pairs that each counts for."""
     measured = torch.isfinite(prepared.points[index]).all(dim=0)
     true_flow = torch.where(measured, prepared.targets.flow[index], torch.nan).permute(1, 2, 0).cpu().numpy()
     seen = prepared.targets.seen[index].cpu().numpy()
     flow = score_flow(motion.scene_flow, true_flow, seen, seen).masked
-    still = score_flow(np.zeros_like(true_flow), true_flow, seen, seen).masked
-    segmentation = score_segmentation(labels.astype(np.int32), motion.labels)
+    zero = score_flow(np.zeros_like(true_flow), true_flow, seen, seen).masked
+    segmentation = score_segmentation(labels, motion.labels)
     numbers = {
         "pairs": 1.0,
         "mean_f": segmentation.mean_f.f,
         "extracted": float(segmentation.extracted),
         "true_objects": float(segmentation.true_objects),
     }
-    if flow.predicted:  # a pair without an object that both frames see has no masked error
-        numbers |= {"with_flow": 1.0, "epe_cm": flow.epe_cm, "zero_epe_cm": still.epe_cm}
+    if flow.predicted:  # without an object visible in both frames there is no masked error
+        numbers |= {"with_flow": 1.0, "epe_cm": flow.epe_cm, "zero_epe_cm": zero.epe_cm}
     return numbers
 
 
 def _means(sums: Mapping[str, float], process: Process) -> Validation:
-    """Add up all processes' sums, and divide."""
+    """Add the sums of all processes and divide by the number of pairs."""
     total: dict[str, float] = defaultdict(float)
     for share in process.gathered(dict(sums)):
         _add(total, share)

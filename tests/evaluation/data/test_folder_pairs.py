@@ -1,4 +1,4 @@
-"""Pair folders with a `truth.npz`: written here from analytic scenes, and the ones beside the checkout."""
+"""Pair folders with a `truth.npz`: made from analytic scenes, and the shared real ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DATA = SHARED / "data"
 
 
 def write_pair(folder: Path, scene: analytic.AnalyticPair, **changes: Any) -> None:
-    """A pair folder; `changes` replaces arrays of its truth, None takes one away."""
+    """Write a pair folder; `changes` replaces arrays of its truth, and None removes one."""
     folder.mkdir(parents=True)
     for number, frame in enumerate((scene.prev, scene.curr)):
         cv2.imwrite(str(folder / f"color{number}.png"), frame.color[..., ::-1])
@@ -49,11 +49,11 @@ def test_a_written_pair_comes_back(tmp_path: Path, scene: analytic.AnalyticPair)
     assert pair.name == "b"
     truth = pair.truth
     assert truth is not None
-    # What stands still is background; labels keep their numbers.
+    # Static objects are background; the others keep their labels.
     moving = sorted(scene.moving)
     assert sorted(truth.moving) == moving == [obj.label for obj in truth.objects]
     assert np.array_equal(truth.labels, np.where(np.isin(scene.labels, moving), scene.labels, 0))
-    # The flow agrees with the scene's own, up to the rounding of depth to 0.1 mm.
+    # The flow agrees with that of the scene, up to the rounding of depth to 0.1 mm.
     assert np.nanmax(np.abs(truth.scene_flow - scene.scene_flow)) < 2e-4
     assert np.array_equal(np.isnan(truth.scene_flow[..., 0]), ~pair.curr.valid)
     for obj in truth.objects:
@@ -71,7 +71,7 @@ def test_objects_seen_in_one_frame_are_not_masked(tmp_path: Path, scene: analyti
     assert np.array_equal(truth.masked, (truth.labels > 0) & (truth.labels != label))
 
 
-def test_what_the_file_may_say_besides(tmp_path: Path, scene: analytic.AnalyticPair) -> None:
+def test_optional_arrays_are_used(tmp_path: Path, scene: analytic.AnalyticPair) -> None:
     count = len(scene.prev_T_curr)
     centers = np.arange(3.0 * count).reshape(count, 3)
     write_pair(
@@ -105,7 +105,7 @@ def test_a_camera_that_moved(tmp_path: Path) -> None:
     write_pair(tmp_path / "a", scene)
     truth = read_pair(tmp_path / "a").truth
     assert truth is not None
-    # Everything shifts in the camera's frame, but only what moves in the world is an object.
+    # Everything moves in the camera frame, but only objects that move in the world are labelled.
     assert truth.moving == scene.moving
     assert np.nanmax(np.abs(truth.scene_flow - scene.scene_flow)) < 2e-4
 
@@ -172,7 +172,7 @@ def test_a_truth_with_changed_bytes_is_read_or_refused(tmp_path: Path, scene: an
     refused = []
     for _ in range(60):
         changed = data.copy()
-        # Headers lie at the start of each array and the directory at the end: the middle is pixels.
+        # Headers are at the start of each array and the directory at the end; the middle holds pixels.
         places = np.r_[rng.integers(0, 200, 3), len(data) - rng.integers(1, 500, 3)]
         changed[places] = rng.integers(0, 256, 6)
         path.write_bytes(changed.tobytes())
@@ -184,7 +184,7 @@ def test_a_truth_with_changed_bytes_is_read_or_refused(tmp_path: Path, scene: an
     assert not [message for message in refused if "\n" in message or len(message) > 400]
 
 
-def test_the_truth_is_no_single_array(tmp_path: Path, scene: analytic.AnalyticPair) -> None:
+def test_a_single_array_is_not_a_truth(tmp_path: Path, scene: analytic.AnalyticPair) -> None:
     write_pair(tmp_path / "a", scene)
     with open(tmp_path / "a" / "truth.npz", "wb") as file:
         np.save(file, scene.labels)
@@ -192,9 +192,9 @@ def test_the_truth_is_no_single_array(tmp_path: Path, scene: analytic.AnalyticPa
         read_pair(tmp_path / "a")
 
 
-def test_the_middle_of_a_ball_and_of_a_plate() -> None:
+def test_the_center_of_a_ball_and_of_a_plate() -> None:
     rng = np.random.default_rng(0)
-    # The half of a 3 cm ball that faces the camera.
+    # The visible half of a ball with a radius of 3 cm.
     normals = rng.normal(size=(500, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     normals[:, 2] = -np.abs(normals[:, 2])
@@ -232,8 +232,8 @@ def test_the_oracle_of_a_pair_without_objects(tmp_path: Path) -> None:
     assert not full.objects[0].moving
 
 
-def test_the_oracle_wants_labels_of_the_frame(scene: analytic.AnalyticPair) -> None:
-    with pytest.raises(ResultError, match="do not fit"):
+def test_the_oracle_needs_labels_of_the_frames_size(scene: analytic.AnalyticPair) -> None:
+    with pytest.raises(ResultError, match="do not match"):
         OracleMasks(np.zeros((4, 5), np.int32))(scene.prev, scene.curr)
 
 
@@ -247,7 +247,7 @@ def test_the_oracle_on_real_pairs() -> None:
         truth = pairs[name].truth
         assert truth is not None
         motion = OracleMasks(truth.labels)(pairs[name].prev, pairs[name].curr)
-        # The truth itself is good to 1-2 degrees and 5-10 mm.
+        # The truth itself is accurate to 1-2 degrees and 5-10 mm.
         for obj in truth.objects:
             found = motion.objects[[o.id for o in motion.objects].index(obj.label)].prev_T_curr
             error = (found - obj.prev_T_curr) @ np.array([*obj.center, 1.0])

@@ -1,4 +1,4 @@
-"""Sensor noise in evaluation: the same every time, as large as the sensor is known for, and the truth untouched."""
+"""Sensor noise in evaluation: reproducible, of the documented size, and without effect on the truth."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def test_frames_are_noisy_and_the_truth_is_not() -> None:
         np.testing.assert_array_equal(frame.depth, same.depth)
         np.testing.assert_array_equal(frame.color, same.color)
         both = (before.depth > 0) & (frame.depth > 0)
-        far = before.depth > 0.6  # the sensor sees nothing that is nearer than its range
-        assert 0.5 < both[far].mean() < 0.999  # some is lost, at edges above all
-        # Khoshelham and Elberink 2012: about 1.4 mm at 1 m, as its square; quantisation and edges add to it.
+        far = before.depth > 0.6  # nearer surfaces are outside the sensor's range
+        assert 0.5 < both[far].mean() < 0.999  # some depth is lost, mostly at edges
+        # Khoshelham and Elberink 2012: about 1.4 mm at 1 m, quadratic in depth; quantisation and edges add to it.
         measured = both & far
         error = np.median(np.abs(frame.depth - before.depth)[measured] / before.depth[measured] ** 2)
         assert 0.0003 < error < 0.005
         assert not np.array_equal(frame.color, before.color)
 
 
-def test_what_cannot_be_is_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_sensor_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(DatasetError, match="choose one of structured-light"):
         NoisyPairs(open_set(TINY), "sonar")
     out = tmp_path / "out"
@@ -47,4 +47,4 @@ def test_evaluate_names_the_sensor(tmp_path: Path, capsys: pytest.CaptureFixture
     arguments = ["--data", "tiny", "--limit", "2", "--methods", "zero", "--no-report", "--out", str(tmp_path)]
     assert main(["evaluate", "--sensor", "stereo", *arguments]) == 0
     assert "tiny, stereo" in capsys.readouterr().out
-    assert main(["evaluate", *arguments]) == 2  # other pairs' predictions lie there
+    assert main(["evaluate", *arguments]) == 2  # the folder holds predictions of other pairs

@@ -1,4 +1,4 @@
-"""What can be evaluated: pairs, sequences taken in two ways, and what is said of anything else."""
+"""Sets that can be evaluated: pairs, sequences used in two ways, and errors for everything else."""
 
 from __future__ import annotations
 
@@ -9,32 +9,33 @@ import numpy as np
 import pytest
 
 from helpers import small_sets
+from helpers.pair_sets import write_part
 from objectflow.errors import DatasetError
 from objectflow.evaluation.data.sources import SequenceUse, open_set
 
 
 def test_pairs(tmp_path: Path) -> None:
-    pairs = open_set(str(small_sets.write_pairs(tmp_path / "set", 3)))
+    pairs = open_set(str(small_sets.write_box_pairs(tmp_path / "set", 3)))
     assert (pairs.data, pairs.kind, pairs.split) == ("set", "pairs", "test")
     assert pairs.keys == ("test-000000", "test-000001", "test-000002")
     assert pairs.window(pairs.keys[0]) is None
     truth = pairs.pair("test-000001").truth
     assert truth.moving == {1}
-    # 60 frames at 1 mm each, to the left on the way back.
+    # 60 frames at 1 mm each; the flow points back to the left.
     flow = truth.scene_flow[truth.labels == 1]
     assert flow == pytest.approx(np.tile([-0.06, 0, 0], (len(flow), 1)), abs=1e-6)
     with pytest.raises(DatasetError, match="no pair 'x'"):
         pairs.pair("x")
 
 
-def test_identity_is_of_the_content_not_of_the_place(tmp_path: Path) -> None:
-    first = small_sets.write_pairs(tmp_path / "a", 2)
+def test_the_hash_depends_on_the_content_not_on_the_folder(tmp_path: Path) -> None:
+    first = small_sets.write_box_pairs(tmp_path / "a", 2)
     before = open_set(str(first)).sha256
     shutil.copytree(first, tmp_path / "b" / "c")
     assert open_set(str(tmp_path / "b" / "c")).sha256 == before
-    small_sets.write_sequences(first)  # another part does not matter
+    small_sets.write_sequences(first)  # another part has no effect
     assert open_set(str(first)).sha256 == before
-    assert open_set(str(small_sets.write_pairs(tmp_path / "d", 2, seed=9))).sha256 != before
+    assert open_set(str(small_sets.write_box_pairs(tmp_path / "d", 2, seed=9))).sha256 != before
 
 
 @pytest.mark.parametrize(
@@ -84,15 +85,15 @@ def test_sequences_without_the_papers_frames_can_be_taken_consecutively(tmp_path
         ("tiny", {"split": "train"}, "no pairs of split 'train'"),
     ],
 )
-def test_what_is_no_set(data: str, options: dict[str, str], message: str, tmp_path: Path) -> None:
-    small_sets.write_pairs(tmp_path / "set", 1)
+def test_data_that_is_not_a_set_is_refused(data: str, options: dict[str, str], message: str, tmp_path: Path) -> None:
+    small_sets.write_box_pairs(tmp_path / "set", 1)
     with pytest.raises(DatasetError, match=message):
         open_set(data.format(tmp_path), **options)  # type: ignore[arg-type]
 
 
 def test_an_empty_set_says_so(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="split 'test' has no pairs"):
-        open_set(str(small_sets.write_set(tmp_path / "set", "pairs", [])))
+        open_set(str(write_part(tmp_path / "set", "pairs", [], "test")))
 
 
 def test_folders_of_pairs_ask_for_their_name(tmp_path: Path) -> None:

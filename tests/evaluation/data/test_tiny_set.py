@@ -1,4 +1,4 @@
-"""The packaged set is whole, small, and what the manifest says."""
+"""The packaged set is complete, small, and consistent with its manifest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""End point and angular errors of flows small enough to compute by hand."""
+"""End-point and angular errors of flows small enough to compute by hand."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_errors_of_four_pixels() -> None:
     third = math.degrees(math.acos(1.0004 / math.sqrt(1.0004 * 1.0029)))
     assert score.all.aae_deg == pytest.approx((45 + 60 + third + 0) / 4, rel=1e-6)
     assert score.moving.aae_deg == pytest.approx(third, rel=1e-6)
-    # Below 1 and 10 cm (the third pixel's 5 cm is up to rounding).
+    # The limits of 1 and 10 cm; the third pixel's error equals 5 cm up to rounding.
     assert score.all.under[0] == 1
     assert score.all.under[2] == 2
     assert (score.all.pixels, score.masked.pixels, score.moving.pixels) == (4, 2, 1)
@@ -54,7 +54,7 @@ def test_shares_count_below_each_limit() -> None:
 
 
 def test_small_angles_keep_their_digits() -> None:
-    # tan = 1e-6 m against 1: an arccosine in double precision would be off by a tenth of a percent and more.
+    # At tan = 1e-6, the error of an arccosine in double precision exceeds a tenth of a percent.
     angle = angular_errors(np.array([[1e-6], [0.0], [0.0]]), np.zeros((3, 1)))
     assert angle[0] == pytest.approx(math.degrees(1e-6), rel=1e-9)
 
@@ -63,7 +63,7 @@ def test_a_sparse_prediction_is_scored_where_it_is() -> None:
     true = flow((0, 0, 0), (0, 0, 0), NAN, (0, 0, 0))
     guess = flow((0.02, 0, 0), NAN, (1, 1, 1), (math.inf, 0, 0))
     score = score_flow(guess, true, ALL, ALL)
-    # Three pixels have truth, one of them a finite prediction; the pixels left out count as missed in the shares.
+    # Three pixels have truth, one of them a finite prediction; the others count as misses in the shares.
     assert (score.all.pixels, score.all.predicted, score.all.under) == (3, 1, (0, 1, 1))
     assert score.all.epe_cm == pytest.approx(2, rel=1e-6)
 

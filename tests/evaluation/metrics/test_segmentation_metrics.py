@@ -41,9 +41,9 @@ def test_one_object_found_too_large_and_one_missed() -> None:
     close(score.mean_f, 29 / 63, 11 / 18, 34 / 65)
     # UOIS: 4 matched pixels of 6 predicted and of 8 true: P = 2/3, R = 1/2, F = 4/7.
     close(score.overlap, 2 / 3, 1 / 2, 4 / 7)
-    # Outlines (pixels that differ from the right, lower or lower right): object 1 has (0,1) (1,0) (1,1); 7 has (0,2)
-    # (1,0) (1,1) (1,2); object 2, in the corner, has (1,2) (1,3) (1,4) (2,2) (3,2). Dilated by 1 pixel (a cross), all
-    # four of 7's lie near object 1's and all three of object 1's near 7's: P = 4/4, R = 3 / (3 + 5), F = 6/11.
+    # Outlines (pixels that differ from the right, lower or lower right neighbour): object 1 has (0,1) (1,0) (1,1);
+    # 7 has (0,2) (1,0) (1,1) (1,2); object 2, in the corner, has (1,2) (1,3) (1,4) (2,2) (3,2). After dilation by 1
+    # pixel (a cross), all four of 7 and all three of object 1 are matched: P = 4/4, R = 3 / (3 + 5), F = 6/11.
     close(score.boundary, 1, 3 / 8, 6 / 11)
     assert (score.fbms_extracted, score.extracted, score.overlap_extracted) == (1, 1, 1)  # F = 0.8
     assert (score.true_objects, score.predicted_objects) == (2, 1)
@@ -56,7 +56,7 @@ def test_two_objects_taken_for_one() -> None:
     true = image("1122000000")
     guess = image("3333000000")
     score = score_segmentation(true, guess)
-    # F of 3 with 1 and with 2 is 4/6 each: one of them is matched (P 1/2, R 1), the other not; background is perfect.
+    # F of 3 with 1 and with 2 is 4/6 each: one is matched (P 1/2, R 1), the other is not; background is perfect.
     # FBMS: P = (1 + 1/2 + 1) / 3 = 5/6, R = (1 + 1 + 0) / 3 = 2/3, F = (10/9) / (3/2) = 20/27.
     close(score.fbms, 5 / 6, 2 / 3, 20 / 27)
     # mean-F: P = (1 + 1/2) / 3, R = 2/3, F = (1 + 2/3) / 3.
@@ -82,7 +82,7 @@ def test_a_prediction_elsewhere_is_no_match() -> None:
     true = image("1000000000")
     guess = image("0000000005")
     score = score_segmentation(true, guess)
-    # Background-background: 8 common of 9 and 9. Object 1 shares no pixel with what is left: P = 1, R = 0.
+    # Background-background: 8 common of 9 and 9. Object 1 has no common pixel with the other region: P = 1, R = 0.
     close(score.fbms, (8 / 9 + 1) / 2, 4 / 9, 2 * (17 / 18) * (8 / 18) / (25 / 18))
     close(score.mean_f, 4 / 9, 4 / 9, 4 / 9)
     close(score.overlap, 0, 0, 0)
@@ -90,8 +90,8 @@ def test_a_prediction_elsewhere_is_no_match() -> None:
 
 
 def test_background_is_a_region_like_others_in_fbms() -> None:
-    # An object that fills most of the image is matched with the predicted background, which covers it best:
-    # 8 common of 8 and 10, F = 16/18 > 0.75. The true background is unmatched. In UOIS nothing was predicted.
+    # An object that fills most of the image is matched with the predicted background: 8 common of 8 and 10,
+    # F = 16/18 > 0.75. The true background is unmatched. In UOIS there is no prediction.
     score = score_segmentation(image("1111111100"), image("0000000000"))
     close(score.fbms, (8 / 10 + 1) / 2, 1 / 2, 2 * 0.9 * 0.5 / 1.4)
     close(score.mean_f, 0.4, 0.5, (16 / 18) / 2)
@@ -100,7 +100,7 @@ def test_background_is_a_region_like_others_in_fbms() -> None:
 
 
 def test_extracted_at_exactly_three_quarters() -> None:
-    # 3 common of 3 and 5: F = 6/8 = 0.75, which counts in the headline and not in FBMS.
+    # 3 common of 3 and 5: F = 6/8 = 0.75, which counts in the headline but not in FBMS.
     score = score_segmentation(image("111000000000"), image("111110000000"))
     assert (score.fbms_extracted, score.extracted, score.overlap_extracted) == (0, 1, 1)
 
@@ -110,7 +110,7 @@ def test_images_without_objects() -> None:
     missed = score_segmentation(something, nothing)
     close(missed.overlap, 1, 0, 0)
     close(missed.boundary, 1, 0, 0)
-    # Background: 4 common of 4 and 8; the object: 4 common of 4 and 8 too. One of them is matched (P 1/2, R 1).
+    # Background and object both have 4 common pixels of 4 and 8. One of them is matched (P 1/2, R 1).
     close(missed.fbms, 3 / 4, 1 / 2, 3 / 5)
     invented = score_segmentation(nothing, something)
     close(invented.overlap, 0, 1, 0)
@@ -215,7 +215,7 @@ def test_every_share_is_a_share(true: LabelImage, guess: LabelImage) -> None:
     score = score_segmentation(true, guess)
     for form in (score.fbms, score.mean_f, score.overlap, score.boundary):
         assert all(0 <= value <= 1 + 1e-12 for value in form)
-    # mean-F gives an unmatched region less precision than FBMS does, and is the same otherwise.
+    # mean-F gives an unmatched region less precision than FBMS, and is otherwise the same.
     assert score.mean_f.precision <= score.fbms.precision + 1e-12
     assert score.mean_f.recall == pytest.approx(score.fbms.recall)
 
@@ -224,6 +224,6 @@ def test_every_share_is_a_share(true: LabelImage, guess: LabelImage) -> None:
 def test_all_background(true: LabelImage) -> None:
     score = score_segmentation(true, np.zeros_like(true))
     assert score.overlap == ((1, 0, 0) if true.any() else (1, 1, 1))
-    # Only a mask that fills the image has no outline to miss.
+    # Only a mask of the whole image has no outline to miss.
     assert score.boundary == ((1, 0, 0) if (true != true[0, 0]).any() else (1, 1, 1))
     assert score.matches == ()

@@ -1,4 +1,4 @@
-"""True motions through our grouping and averaging: what comes out is the truth, save what cannot be told apart."""
+"""True motions through our grouping and averaging give the truth, except for indistinguishable objects."""
 
 from __future__ import annotations
 
@@ -6,25 +6,18 @@ import numpy as np
 import pytest
 
 import analytic
+from helpers.truths import truth_of_scene
 from objectflow.errors import ResultError
-from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
+from objectflow.evaluation.data.truth import make_pair_truth
 from objectflow.evaluation.metrics.pair_score import score_pair
 from objectflow.evaluation.oracles.oracle_motion import OracleMotion
 from objectflow.methods.sceneflownet.grouping import GroupingSettings
 
 
-def truth_of(scene: analytic.AnalyticPair) -> PairTruth:
-    none = np.empty((0, 3))
-    objects = [
-        TrueObject(label, scene.centers[label], T, none, (), in_both=True) for label, T in scene.prev_T_curr.items()
-    ]
-    return make_pair_truth("pair", scene.curr, scene.labels, objects)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_true_motions_give_the_truth_back(seed: int) -> None:
     scene = analytic.make_scene(seed)
-    truth = truth_of(scene)
+    truth = truth_of_scene(scene)
     motion = OracleMotion(truth, settings=GroupingSettings(min_pixels=1))(scene.prev, scene.curr)
     score = score_pair(motion, truth)
     assert score.segmentation.fbms == score.segmentation.overlap == (1, 1, 1)
@@ -32,15 +25,15 @@ def test_true_motions_give_the_truth_back(seed: int) -> None:
     assert all(error.rotation_deg < 0.1 and error.translation_cm < 1e-3 for error in score.objects)
 
 
-def test_what_the_grouping_loses_shows() -> None:
+def test_errors_of_the_grouping_are_visible() -> None:
     scene = analytic.make_scene(2, objects=(2, 2))
-    truth = truth_of(scene)
+    truth = truth_of_scene(scene)
     small, large = sorted(int((scene.labels == label).sum()) for label in (1, 2))
-    # With groups of so many pixels alone allowed to stand, the smaller object's pixels join the larger one.
+    # With a minimum size above that of the smaller object, its pixels join the larger one.
     motion = OracleMotion(truth, settings=GroupingSettings(min_pixels=small + 1))(scene.prev, scene.curr)
     assert [obj.pixels for obj in motion.objects] == [small + large]
     score = score_pair(motion, truth)
-    # One pair of objects: `large` common pixels of small + large predicted and as many true.
+    # One pair of objects has `large` common pixels, of small + large predicted and as many true ones.
     share = large / (small + large)
     assert score.segmentation.overlap == pytest.approx((share, share, share))
     assert score.flow.masked.epe_cm > 0.5

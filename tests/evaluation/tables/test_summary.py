@@ -1,4 +1,4 @@
-"""Averages over a set of three pairs, by hand, and their bootstrap intervals."""
+"""Averages over a set of three pairs, computed by hand, and their bootstrap intervals."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pixels(epe: float, aae: float, count: int, predicted: int, under: tuple[int,
 
 def pair(number: int, epe: PixelScore, form: PRF, extracted: int, true: int, *errors: ObjectError) -> PairScore:
     segmentation = SegmentationScore(form, form, form, form, extracted, extracted, extracted, true, true, ())
-    movers = MoverScore(2, 2, 1, still=number % 2 == 0)
+    movers = MoverScore(2, 2, 1, static=number % 2 == 0)
     flow = FlowScore(epe, epe, epe)
     return PairScore(f"p{number}", f"s{number}", flow, segmentation, errors, float(number), movers=movers)
 
@@ -48,7 +48,7 @@ SCORES = [
 def test_averages() -> None:
     got = summarise(SCORES, rng(), machine="test")
     assert (got.pairs, got.scenes) == (3, 3)
-    # Flow: means over the two images that have such pixels; their deviation is half the difference.
+    # Flow: means over the two images with such pixels; the standard deviation is half the difference.
     assert (got.flow_masked.epe_cm.value, got.flow_masked.epe_std) == (2.5, 1.5)
     assert (got.flow_masked.aae_deg.value, got.flow_masked.aae_std) == (15, 5)
     assert got.flow_masked.images == 2
@@ -62,11 +62,11 @@ def test_averages() -> None:
     assert got.overlap.f.value == got.boundary.f.value == pytest.approx(0.3)
     assert (got.mean_f.extracted, got.mean_f.true_objects) == (1, 3)
     assert got.mean_f.extracted_share.value == pytest.approx(1 / 3)
-    # Rotations 1 and 9 degrees (one is unknown), translations 1, 3, 1 cm; the first and third are good.
+    # Rotations of 1 and 9 degrees (one is unknown), translations of 1, 3, 1 cm; the first and third are good.
     assert (got.objects.rotation_deg.value, got.objects.translation_cm.value) == (5, 1)
     assert got.objects.good.value == pytest.approx(2 / 3)
     assert got.objects.matched == 3
-    # Seconds 2 and 3 are left after the warm-up.
+    # Seconds 2 and 3 remain after the warm-up.
     assert (got.runtime.median, got.runtime.pairs, got.runtime.machine) == (2.5, 2, "test")
 
 
@@ -75,7 +75,7 @@ def test_intervals_hold_the_value_and_repeat_with_the_seed() -> None:
     for interval in (got.flow_all.epe_cm, got.fbms.f, got.mean_f.f, got.flow_all.density, got.objects.rotation_deg):
         assert interval.low <= interval.value <= interval.high
     assert got == summarise(SCORES, rng(), machine="test")
-    # Draws of two images with 1 and 4 cm and one without: the extremes are both means of one image alone.
+    # Draws of two images with 1 and 4 cm and one without: both extremes are means of a single image.
     assert got.flow_all.epe_cm[1:] == (1, 4)
 
 
@@ -98,7 +98,7 @@ def test_nothing_to_average() -> None:
 
 
 def test_the_interval_of_a_mean_is_the_normal_one() -> None:
-    # The mean of n values has the standard error s / sqrt(n); at n = 400 the percentiles lie 1.96 of it away.
+    # The mean of n = 400 values has the standard error s / 20, and the percentiles are 1.96 standard errors away.
     values = np.random.default_rng(1).normal(3.0, 2.0, size=400)
     got = Bootstrap([str(i) for i in range(400)], rng(), draws=4000).mean(values)
     error = values.std() / 20
@@ -113,7 +113,7 @@ def test_medians_are_those_of_the_resampled_values(owned: list[tuple[int, float]
     bootstrap = Bootstrap(scenes, np.random.default_rng(seed), draws=40)
     got = bootstrap.median(values, owners)
     medians = []
-    for weights in np.concatenate(list(bootstrap._weights())):
+    for weights in np.concatenate(list(bootstrap.weights())):
         drawn = np.repeat(values, weights[owners].astype(int))
         if len(drawn):
             medians.append(np.median(drawn))

@@ -1,4 +1,4 @@
-"""Tables of three hand-made pairs: their numbers by hand, their four forms, and the paper's rows against the paper."""
+"""Tables of three hand-made pairs: their numbers, their four output forms, and the paper's rows."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PAPER = SHARED / "reference" / "paper.tex"
 
 
 def make_score(number: int, epe: float, f: float, regions: tuple[RegionScore, ...]) -> PairScore:
-    """A pair whose objects are extracted if their F is at least 0.75."""
+    """A pair whose objects are extracted if their F-measure is at least 0.75."""
     pixels = PixelScore(epe, epe / 2, 100, 100, (10, 50, 90))
     form = PRF(f, f, f)
     found = sum(region.f >= 0.75 for region in regions)
@@ -114,7 +114,8 @@ def test_notes_say_what_the_numbers_were_taken_of() -> None:
 def test_breakdowns_by_hand() -> None:
     tables = {one.name: one for one in breakdown_tables(make_evaluation())}
     f, epe = tables["f-by-displacement"], tables["epe-by-displacement"]
-    # Bins 0-2, 2-5, 5-10, 10-20, 20+; the object of one frame only is in none; an edge belongs to the bin above.
+    # The bins are 0-2, 2-5, 5-10, 10-20, 20+; an edge belongs to the bin above it. The object that is visible in one
+    # frame only is in no bin.
     assert [column.heading for column in f.columns] == [
         "0-2 (n=1)",
         "2-5 (n=1)",

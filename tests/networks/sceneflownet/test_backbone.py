@@ -1,4 +1,4 @@
-"""Pretrained weights: torchvision's names, read strictly for the parts used."""
+"""Pretrained weights with torchvision's names, loaded strictly for the parts used."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from objectflow.networks.sceneflownet.backbone import Trunk
 
 
 def _torchvision_names() -> dict[str, tuple[int, ...]]:
-    """Names and sizes of torchvision's resnet50 up to layer2, written down from its definition (width 64)."""
+    """Names and sizes of torchvision's resnet50 up to layer2, from its definition (width 64)."""
     sizes: dict[str, tuple[int, ...]] = {"conv1.weight": (64, 3, 7, 7)}
 
     def norm(name: str, channels: int) -> None:
@@ -38,7 +38,7 @@ def _torchvision_names() -> dict[str, tuple[int, ...]]:
 
 
 def _file_state(trunk: Trunk) -> dict[str, Tensor]:
-    """As a pretrained file has it: older ones without the count of batches, and with the layers left out here."""
+    """The tensors of an older pretrained file: no batch counts, and the layers that are not used here."""
     generator = torch.Generator().manual_seed(3)
     state = {
         name: torch.rand(value.shape, generator=generator)

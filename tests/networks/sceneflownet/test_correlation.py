@@ -1,4 +1,4 @@
-"""The fused correlation and pool against sums written out, and their gradients against finite differences."""
+"""The fused correlation and pool against explicit sums, and their gradients against finite differences."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def _random(*shape: int, seed: int = 0, gradient: bool = False) -> Tensor:
 
 
 def _slow(curr: Tensor, prev: Tensor, values: Tensor, reach: int) -> tuple[Tensor, Tensor]:
-    """Both equations, one number after the other."""
+    """Both equations, number by number."""
     batch, _, height, width = curr.shape
     side = 2 * reach + 1
     correlation = torch.zeros(batch, side * side, height, width, dtype=curr.dtype)
@@ -73,7 +73,7 @@ def test_forward_is_the_same_with_and_without_gradient() -> None:
 
 
 def test_moved_features_are_found_at_their_displacement() -> None:
-    prev = torch.eye(36, dtype=torch.float64).reshape(1, 36, 6, 6)  # every cell has a feature of its own
+    prev = torch.eye(36, dtype=torch.float64).reshape(1, 36, 6, 6)  # every cell has a unique feature
     curr = torch.roll(prev, (1, -2), dims=(2, 3))  # the content of (y, x) comes from (y - 1, x + 2)
     weights = fused.correlate(curr, prev, 2)
     assert weights.argmax(dim=1)[0, 1:, :4].unique().tolist() == [(-1 + 2) * 5 + 2 + 2]

@@ -1,4 +1,4 @@
-"""The whole network: sizes, settings, missing depth, and equation 1 against NumPy."""
+"""The network: sizes, settings, missing depth, and equation 1 against NumPy."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(
     network = _network(
         correlation=correlation, details=details, correlation_cosine=cosine, displacement=cosine, length_unit=0.1
     )
-    for parameter in network.parameters():  # blocks start as their shortcuts: wake the rest
+    for parameter in network.parameters():  # residual blocks start as their shortcuts: activate the other layers
         if not parameter.any():
             torch.nn.init.constant_(parameter, 0.1)
     out = network(*_frames(height, width))
@@ -75,7 +75,7 @@ def test_default_is_the_papers_size() -> None:
 
 
 def test_a_detail_reaches_its_surroundings_alone() -> None:
-    """The finest link lets a single pixel through, which stride 8 cannot resolve."""
+    """The finest link passes on a single pixel, which stride 8 cannot resolve."""
     generator = torch.Generator().manual_seed(2)
     network = _network(details=True)
     features = torch.rand(1, 3 * SMALL.shape_stages[-1][-1], 6, 8, generator=generator)
@@ -84,7 +84,7 @@ def test_a_detail_reaches_its_surroundings_alone() -> None:
     changed[2][:, :, 21, 33] += 1
     with torch.no_grad():
         off = (network.hourglass(features, details) - network.hourglass(features, changed)).abs().sum(1)[0]
-    reach = len(SMALL.fine[-1])  # the link's 3x3, and one for every layer after the first
+    reach = len(SMALL.fine[-1])  # the 3x3 layers of the link and of every width after the first
     around = off[21 - reach : 22 + reach, 33 - reach : 34 + reach]
     assert float(around.max()) > 0
     assert float(off.sum()) == pytest.approx(float(around.sum()))
@@ -97,15 +97,15 @@ def test_the_correlation_comes_with_the_maps() -> None:
         maps, correlation = network.predict(*frames)
         torch.testing.assert_close(maps, network(*frames))
         assert correlation.shape == (2, 25, 6, 8)
-        looks = network.color_encoder(torch.cat([frames[2], frames[0]])).chunk(2)
+        curr, prev = network.color_encoder(torch.cat([frames[2], frames[0]])).chunk(2)
         # Displacement (1, -2): cell (3, 4) of the current frame with cell (4, 2) of the previous one.
-        expected = (looks[0][:, :, 3, 4] * looks[1][:, :, 4, 2]).sum(1)
+        expected = (curr[:, :, 3, 4] * prev[:, :, 4, 2]).sum(1)
     torch.testing.assert_close(correlation[:, (1 + 2) * 5 + (-2 + 2), 3, 4], expected)
     assert _network(correlation=False).predict(*frames)[1] is None
 
 
-def test_expected_displacement_of_sure_matches_is_the_match() -> None:
-    """With one certain match a cell, it is a lookup; a match without depth is passed over."""
+def test_expected_displacement_of_certain_matches_is_the_match() -> None:
+    """With one certain match per cell, it is a lookup; matches without depth are ignored."""
     generator = torch.Generator().manual_seed(3)
     reach, height, width = 2, 5, 7
     points = torch.rand(2, 1, 3, height, width, generator=generator)
@@ -121,14 +121,14 @@ def test_expected_displacement_of_sure_matches_is_the_match() -> None:
     torch.testing.assert_close(found[0, :3, 2, 2], prev[0, :3, 1, 2] - curr[0, :3, 2, 2])
     torch.testing.assert_close(found[0, 3, 3, 4], torch.tensor(1.0))
     assert not found[0, :3, 0, 0].any()
-    # No preference at all: the mean over the patch's points inside the image.
+    # Equal correlations give the mean over the patch's points inside the image.
     around = prev[0, :3, 2:5, 4:7].flatten(1).mean(1)  # cell (4, 6) with reach 2, cut by two edges
     torch.testing.assert_close(found[0, :3, 4, 6], around - curr[0, :3, 4, 6])
     nothing = expected_displacement(correlation, torch.zeros_like(prev), curr, reach)
     assert not nothing.any()
 
 
-def test_maps_are_in_metres_whatever_the_network_counts_in() -> None:
+def test_maps_are_in_metres_for_any_length_unit() -> None:
     plain, other = _network(), _network(length_unit=0.1, origin_depth=0.5)
     frames = _frames(48, 64)
     for network in (plain, other):
@@ -138,7 +138,7 @@ def test_maps_are_in_metres_whatever_the_network_counts_in() -> None:
         network.eval()
     with torch.no_grad():
         before, after = plain(*frames), other(*frames)
-    torch.testing.assert_close(after.center, before.center)  # the pixel's own point, or its stand-in
+    torch.testing.assert_close(after.center, before.center)  # the pixel's own point, or its replacement
     torch.testing.assert_close(after.translation, 0.1 * before.translation)
 
 
@@ -156,7 +156,7 @@ def test_cosines_do_not_depend_on_the_features_lengths() -> None:
     torch.testing.assert_close(after, before)
 
 
-def test_padding_does_not_depend_on_who_pads() -> None:
+def test_images_may_be_padded_before_the_network() -> None:
     network = _network().eval()
     frames = _frames(33, 50)
     padded = [torch.nn.functional.pad(frame, (0, 6, 0, 7), value=torch.nan if i % 2 else 0.0)
@@ -174,7 +174,7 @@ def test_missing_depth_is_told_from_depth_zero() -> None:
         assert not torch.allclose(network(*frames).rotation, network(*zeros).rotation)
 
 
-def test_frozen_normalisation_takes_every_pair_on_its_own() -> None:
+def test_frozen_normalisation_treats_every_pair_independently() -> None:
     frames = _frames(32, 40)
     for norm, same in (("frozen", True), ("batch", False)):
         network = _network(trunk_norm=norm).train()
@@ -191,7 +191,7 @@ def test_bfloat16_inside_gives_float32_maps_near_the_exact_ones() -> None:
         rough = network(*frames)
     for one, other in zip(rough, exact, strict=True):
         assert one.dtype == torch.float32
-        assert 0 < (one - other).norm() < 0.2 * other.norm()  # some 0.4% a layer, over 25 layers
+        assert 0 < (one - other).norm() < 0.2 * other.norm()  # about 0.4% per layer, over 25 layers
     sum(one.square().sum() for one in rough).backward()
     assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in network.parameters())
 
@@ -202,9 +202,10 @@ def test_same_generator_same_network() -> None:
 
 
 def test_settings_go_through_json() -> None:
-    settings = dataclasses.replace(SMALL, correlation_mean=True, trunk_norm="frozen")
+    settings = dataclasses.replace(SMALL, details=True, trunk_norm="frozen")
     assert NetworkSettings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
     assert NetworkSettings.from_dict({}) == NetworkSettings()
+    assert NetworkSettings.from_dict(dict(NetworkSettings.RETIRED)) == NetworkSettings()
 
 
 @pytest.mark.parametrize(
@@ -219,6 +220,8 @@ def test_settings_go_through_json() -> None:
         ({"fine": [[64]]}, "fine needs 3 stages"),
         ({"fine": [[64], [], [3]]}, "stage without layers"),
         ({"trunk_norm": "group"}, "trunk_norm must be batch or frozen"),
+        ({"missing": "masked"}, "missing is 'masked', which this version no longer implements: it needs 'channel'"),
+        ({"correlation_mean": True}, "correlation_mean is True, which this version no longer implements"),
     ],
 )
 def test_bad_settings_are_named(values: dict[str, Any], message: str) -> None:
@@ -229,7 +232,7 @@ def test_bad_settings_are_named(values: dict[str, Any], message: str) -> None:
 def test_fill_holes_takes_the_surrounding_mean() -> None:
     valid = torch.ones(1, 1, 9, 10)
     valid[..., 2:5, 2:4] = 0
-    valid[..., 8, 9] = 0  # alone in its block of two: the block of four has one row more
+    valid[..., 8, 9] = 0  # the only pixel of its block of two; the block of four has one more row
     points = torch.arange(270.0).reshape(1, 3, 9, 10) * valid
     filled = fill_holes(points, valid)
     assert torch.equal(filled * valid, points)

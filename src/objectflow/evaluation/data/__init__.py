@@ -1,1 +1,1 @@
-"""Where evaluated pairs come from, and what is true in them."""
+"""Sets of pairs that can be evaluated, and their truth."""

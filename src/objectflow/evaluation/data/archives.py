@@ -1,4 +1,4 @@
-"""NumPy archives from disk, whatever state they are in."""
+"""NumPy archives from disk, with one error for all kinds of damage."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError
 
-# What np.load makes of broken archives: cut off, another compression, a header that is no Python or asks for more
-# memory than there is, a single array where an archive should be.
 BROKEN = (
     OSError,
     ValueError,
@@ -33,13 +31,15 @@ BROKEN = (
     struct.error,
     tokenize.TokenError,
 )
+"""Exceptions of np.load for damaged archives: truncated files, another compression, headers that are not Python or
+declare more memory than available, a single array instead of an archive."""
 
 
 def read_archive(path: Path) -> dict[str, NDArray[Any]]:
     """All arrays of an `.npz` file.
 
     Raises:
-        DatasetError: it cannot be read.
+        DatasetError: a file that cannot be read.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

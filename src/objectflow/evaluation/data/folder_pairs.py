@@ -1,8 +1,8 @@
-"""The `real` set: any folder of pair folders, scored where a pair has its truth in `truth.npz`.
+"""Real pairs: a folder of pair folders, of which those with a `truth.npz` can be scored.
 
 `truth.npz` holds `labels1` ((H, W) whole numbers, 0 = background, k = k-th object; on the current frame) and
-`prev_T_curr` ((K, 4, 4), a motion for each object). It may hold `labels0` (the same on the previous frame),
-`background_prev_T_curr` ((4, 4); without it the camera stood still), `names` ((K,)), `centers` ((K, 3) metres),
+`prev_T_curr` ((K, 4, 4), the motion of each object). Optional are `labels0` (the labels of the previous frame),
+`background_prev_T_curr` ((4, 4); by default the camera is static), `names` ((K,)), `centers` ((K, 3) metres),
 `moving` ((K,) bool) and `rotation_known` ((K,) bool).
 """
 
@@ -25,14 +25,15 @@ from objectflow.readers.pair import is_pair, open_pair
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 TRUTH = "truth.npz"
+"""Name of the file with a pair's truth."""
 
-_LARGEST_BALL, _BALL_MISFIT = 0.06, 0.004
-"""Metres: visible points this near to a sphere of a smaller radius are a ball's."""
+_MAX_BALL_RADIUS, _MAX_BALL_RESIDUAL = 0.06, 0.004
+"""Metres: an object is a ball if its visible points fit a sphere up to this radius with at most this RMS residual."""
 
 
 @dataclass(frozen=True, eq=False)
-class RealPair:
-    """A pair of frames, and its truth where there is one."""
+class FolderPair:
+    """A pair of frames, and its truth if there is one."""
 
     name: str
     prev: RgbdFrame
@@ -41,10 +42,10 @@ class RealPair:
 
 
 def find_pairs(folder: str | Path) -> list[Path]:
-    """The pair folders in a folder, by name; the folder itself when it is one.
+    """The pair folders in a folder, by name; or the folder itself if it is a pair folder.
 
     Raises:
-        DatasetError: there is no such folder, or no pair in it.
+        DatasetError: no such folder, or no pair folder in it.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -59,16 +60,16 @@ def find_pairs(folder: str | Path) -> list[Path]:
 
 def read_pairs(
     folder: str | Path, *, with_truth: bool = True, translation_only: Collection[str] = ()
-) -> Iterator[RealPair]:
+) -> Iterator[FolderPair]:
     """Read the pairs of a folder one by one.
 
     Args:
         folder: of pair folders.
-        with_truth: leave out pairs without `truth.npz`.
+        with_truth: skip pairs without `truth.npz`.
         translation_only: see `read_pair`.
 
     Raises:
-        DatasetError: no pairs, none with truth where that is asked for, or a truth that is broken.
+        DatasetError: no pairs, none with truth if required, or a broken truth.
         ObjectflowError: frames that cannot be read.
     """
     paths = find_pairs(folder)
@@ -79,16 +80,16 @@ def read_pairs(
     return (read_pair(path, translation_only=translation_only) for path in paths)
 
 
-def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> RealPair:
+def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> FolderPair:
     """Read one pair folder.
 
-    The truth's labels are those of objects that move against the background. One that stands still is background
-    here, like everything else that nobody outlined. Centres that the file does not give are a ball's middle where the
-    visible points lie on a sphere, whose turns cannot be seen, otherwise the median of the visible points.
+    Only objects that move relative to the background are labelled in the truth; static ones are background. Centres
+    that the file does not give are the centre of the fitted sphere for a ball, whose rotation is not observable, and
+    otherwise the median of the visible points.
 
     Args:
         folder: as `readers.pair` describes it, with or without `truth.npz`.
-        translation_only: names of objects whose true rotation is not known well enough to score one against it.
+        translation_only: names of objects whose true rotation is too inaccurate for scoring.
 
     Raises:
         DatasetError: a truth that is broken or does not fit the frames.
@@ -99,7 +100,7 @@ def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> 
     truth = None
     if (folder / TRUTH).is_file():
         truth = _truth(folder, curr, read_archive(folder / TRUTH), translation_only)
-    return RealPair(folder.name, prev, curr, truth)
+    return FolderPair(folder.name, prev, curr, truth)
 
 
 def _truth(
@@ -126,7 +127,7 @@ def _truth(
     objects = []
     for k in range(count):
         seen = points[(labels == k + 1) & curr.valid]
-        if len(seen) == 0:  # without a point there is nothing to score
+        if len(seen) == 0:  # an object without points cannot be scored
             labels[labels == k + 1] = 0
             continue
         center, is_ball = find_center(seen)
@@ -146,32 +147,32 @@ def _truth(
     moving = everything.moving if flags is None else {k + 1 for k in range(count) if flags[k]}
     labels = np.where(np.isin(labels, list(moving)), labels, 0).astype(np.int32)
     kept = [obj for obj in objects if obj.label in moving]
-    return make_pair_truth(folder.name, curr, labels, kept, background_prev_T_curr=background, moving=-1.0)
+    return make_pair_truth(folder.name, curr, labels, kept, background_prev_T_curr=background, min_displacement=-1.0)
 
 
 def find_center(points: NDArray[np.floating[Any]]) -> tuple[Float64Array, bool]:
-    """Where translations of an object are compared, and whether it is a ball.
+    """The point at which translations of an object are compared, and whether the object is a ball.
 
     Args:
         points: (N, 3) its visible points, metres.
 
     Returns:
-        (3,) the ball's middle or the points' median; True for a ball.
+        (3,) the centre of the ball or the median of the points, metres; True for a ball.
     """
     p = np.asarray(points, dtype=np.float64)
     median = np.median(p, axis=0)
-    # Outlines made by hand take in a little of what lies behind.
-    near = p[np.linalg.norm(p - median, axis=1) < _LARGEST_BALL]
+    # Masks drawn by hand include some points of the background.
+    near = p[np.linalg.norm(p - median, axis=1) < _MAX_BALL_RADIUS]
     if len(near) < max(20, 0.8 * len(p)):
         return median, False
-    # |p - c|^2 = r^2 is linear in c and r^2 - |c|^2; about the median, so that squares of metres cost no digits.
+    # |p - c|^2 = r^2 is linear in c and r^2 - |c|^2. Coordinates relative to the median keep the squares small.
     local = near - median
     (x, y, z, rest), *_ = np.linalg.lstsq(np.c_[2 * local, np.ones(len(local))], (local**2).sum(1), rcond=None)
-    middle = np.array([x, y, z])
-    radius = float(np.sqrt(max(0.0, rest + middle @ middle)))
-    misfit = float(np.sqrt(np.mean((np.linalg.norm(local - middle, axis=1) - radius) ** 2)))
-    if radius < _LARGEST_BALL and misfit < _BALL_MISFIT:
-        return median + middle, True
+    center = np.array([x, y, z])
+    radius = float(np.sqrt(max(0.0, rest + center @ center)))
+    residual = float(np.sqrt(np.mean((np.linalg.norm(local - center, axis=1) - radius) ** 2)))
+    if radius < _MAX_BALL_RADIUS and residual < _MAX_BALL_RESIDUAL:
+        return median + center, True
     return median, False
 
 

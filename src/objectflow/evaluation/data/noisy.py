@@ -1,4 +1,4 @@
-"""Pairs as a depth camera would have shown them: a generated set's frames through a sensor model; the truth stays."""
+"""Generated pairs as seen by a depth camera: their frames pass through a sensor model; the truth does not change."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from objectflow.errors import DatasetError
 from objectflow.evaluation.data.sources import PairSet, PairWindow
 from objectflow.evaluation.results import EvaluationPair
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.torch_pinhole import intrinsics
 from objectflow.sensors.sensor import SENSORS, ColorSensor, observe
 
 
 class NoisyPairs:
-    """A `PairSet` whose frames have the colour of a camera and the depth of one kind of sensor.
+    """A `PairSet` whose frames have the noise of a colour camera and of one kind of depth sensor.
 
-    The noise of a frame depends on its pair's key and on nothing else.
+    The noise of a frame depends on the key of its pair only.
     """
 
     def __init__(self, pairs: PairSet, sensor: str) -> None:
@@ -30,7 +31,7 @@ class NoisyPairs:
             sensor: a name in `SENSORS`.
 
         Raises:
-            DatasetError: no such sensor, or real pairs, which have noise of their own.
+            DatasetError: no such sensor, or real pairs, which already have noise.
         """
         if sensor not in SENSORS:
             raise DatasetError(f"unknown depth sensor {sensor!r}: choose one of {', '.join(SENSORS)}")
@@ -53,11 +54,10 @@ class NoisyPairs:
 
     def _seen(self, frames: Sequence[RgbdFrame], key: str) -> list[RgbdFrame]:
         seed = int.from_bytes(hashlib.sha256(key.encode()).digest()[:7], "big")
-        camera = frames[0].camera
         color, depth = observe(
             torch.from_numpy(np.stack([frame.color for frame in frames])).permute(0, 3, 1, 2).float() / 255,
             torch.from_numpy(np.stack([frame.depth for frame in frames])),
-            torch.tensor([[camera.fx, camera.fy, camera.cx, camera.cy]]).expand(len(frames), -1),
+            intrinsics(frames[0].camera).expand(len(frames), -1),
             torch.Generator().manual_seed(seed),
             depth_sensor=SENSORS[self._sensor],
             color_sensor=ColorSensor(),

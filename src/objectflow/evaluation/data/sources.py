@@ -1,4 +1,4 @@
-"""What can be evaluated: a generated set's pairs or sequences, the packaged tiny set, or folders of real pairs."""
+"""Sets that can be evaluated: pairs or sequences of a generated set, the packaged tiny set, or real pair folders."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from objectflow.storage.files import hash_file
 TINY = "tiny"
 TINY_FOLDER = Path(__file__).parents[1] / "tiny"
 REAL = "real:"
+"""Prefix of `--data` for folders of real pairs."""
 
 SequenceUse = Literal["none", "paper", "consecutive"]
 
 PAPER_FRAMES = (20, 80)
-"""The previous and the current frame of a sequence of TestSeq; methods that want more see the others as well."""
+"""The previous and the current frame of a sequence of TestSeq; methods that take sequences get the others as well."""
 
 
 class PairWindow(NamedTuple):
-    """A pair within its sequence: all frames, and the places of the previous and the current one among them."""
+    """A pair within its sequence: all frames, and the indices of the previous and the current one."""
 
     frames: tuple[RgbdFrame, ...]
     prev: int
@@ -53,7 +54,7 @@ class PairSet(Protocol):
     keys: tuple[str, ...]
 
     def pair(self, key: str) -> EvaluationPair:
-        """The frames and the truth.
+        """The frames and the truth of a pair.
 
         Raises:
             DatasetError: no such pair, or one that cannot be read.
@@ -61,31 +62,31 @@ class PairSet(Protocol):
         ...
 
     def window(self, key: str) -> PairWindow | None:
-        """The sequence around the pair; None where the set has no sequences."""
+        """The sequence around the pair; None if the set has no sequences."""
         ...
 
 
 def open_set(
     data: str, *, split: str = "test", sequences: SequenceUse = "none", translation_only: Collection[str] = ()
 ) -> PairSet:
-    """Open what `--data` names.
+    """Open the set that `--data` names.
 
     Args:
         data: "tiny"; "real:DIR" for a folder of pair folders; otherwise the folder of a generated set.
         split: of a generated set.
-        sequences: take pairs from its sequences: frames 20 and 80 of each ("paper"), or every two that follow each
-            other ("consecutive").
-        translation_only: names of real objects whose true rotation is not known well enough to score against.
+        sequences: take pairs from its sequences: frames 20 and 80 of each ("paper"), or all pairs of consecutive
+            frames ("consecutive").
+        translation_only: names of real objects whose true rotation is too inaccurate for scoring.
 
     Raises:
-        DatasetError: there is no such set, or nothing in it.
+        DatasetError: no such set, or an empty one.
     """
     if data.startswith(REAL):
         if sequences != "none":
             raise DatasetError(f"{data}: pair folders hold no sequences: leave --sequences and --consecutive out")
-        return RealPairs(Path(data[len(REAL) :]), translation_only)
+        return FolderPairs(Path(data[len(REAL) :]), translation_only)
     if translation_only:
-        raise DatasetError("--translation-only is for real pairs: a generated set knows every rotation")
+        raise DatasetError("--translation-only is for real pairs: rotations of a generated set are exact")
     folder = TINY_FOLDER if data == TINY else Path(data)
     if not (folder / FILE).is_file() and any(folder.glob("*/camera.json")):
         raise DatasetError(f"{folder}: pair folders, no generated set: name it {REAL}{folder}")
@@ -122,7 +123,7 @@ class GeneratedSequences:
     """Pairs of frames of one split's sequences; see `PairSet`.
 
     Raises:
-        DatasetError: a sequence without the two frames that the paper takes.
+        DatasetError: a sequence without the paper's two frames.
     """
 
     def __init__(self, shards: Shards[SequenceRow], use: SequenceUse) -> None:
@@ -131,9 +132,9 @@ class GeneratedSequences:
         self.sha256 = hash_part(shards.part)
         self._shards = shards
         self._rows: dict[str, list[int]] = {}
-        """Of each sequence."""
+        """Rows of each sequence."""
         self._places: dict[str, tuple[str, int, int]] = {}
-        """Of each key: sequence, and the places of its two frames in it."""
+        """Sequence of each key, and the indices of its two frames in it."""
         keys = shards.keys()
         names = [key.rpartition("/") for key in keys]
         for row, (sequence, _, _) in enumerate(names):
@@ -171,7 +172,7 @@ class GeneratedSequences:
         return self._places[key]
 
 
-class RealPairs:
+class FolderPairs:
     """The pair folders with a truth in a folder; see `PairSet`."""
 
     kind = "real"
@@ -193,7 +194,7 @@ class RealPairs:
             raise DatasetError(f"{self.data}: no pair {key!r}")
         real = read_pair(self._paths[key], translation_only=self._translation_only)
         if real.truth is None:
-            raise DatasetError(f"{self._paths[key]}: its {TRUTH} has gone")
+            raise DatasetError(f"{self._paths[key]}: its {TRUTH} was removed")
         return EvaluationPair(real.prev, real.curr, real.truth)
 
     def window(self, key: str) -> PairWindow | None:
@@ -205,7 +206,7 @@ _PARTS = frozenset({"color0", "color1", "depth0", "depth1", "camera", "truth"})
 
 
 def _hash_folders(folders: Sequence[Path]) -> str:
-    """Of the names and bytes of what makes a pair; other files beside it do not matter."""
+    """Hash of the names and bytes of the files of pairs, without other files in their folders."""
     digest = hashlib.sha256()
     for folder in folders:
         for path in sorted(folder.iterdir()):

@@ -1,4 +1,4 @@
-"""What is true of a pair, in the form that the metrics need."""
+"""The truth of a pair in the form that the metrics need."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
 from objectflow.typing import BoolMask, Float32Array, Float64Array, Int64Array, LabelImage
 
-MOVING = 0.005
-"""Metres: an object moves whose visible pixels moved further than this on average, against the background."""
+MIN_DISPLACEMENT = 0.005
+"""Metres: minimum mean displacement of a moving object's visible pixels, relative to the background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +26,10 @@ class TrueObject:
         label: its value in the true labels.
         center: (3,) metres, X, in the current frame; on every symmetry axis.
         prev_T_curr: (4, 4).
-        axes, orders: (A, 3) symmetry axes in the current camera frame, and n >= 2 for C_n or 0 for continuous.
-        in_both: visible in both frames.
-        rotation_known: False where the truth has only the translation.
+        axes: (A, 3) symmetry axes in the current camera frame.
+        orders: of each axis, n >= 2 for C_n or 0 for continuous.
+        in_both: whether it is visible in both frames.
+        rotation_known: False if only the translation is known.
     """
 
     label: int
@@ -46,12 +47,12 @@ class PairTruth:
 
     Attributes:
         key: the pair's name in its set.
-        scene: pairs that share it are not independent.
+        scene: pairs of the same scene are not independent.
         labels: (H, W) int32: the regions to find; 0 = background.
         scene_flow: (H, W, 3) float32 metres, NaN where depth is missing.
-        objects: every object that is in `labels`.
+        objects: every object in `labels`.
         masked: (H, W) bool: pixels of objects that are visible in both frames.
-        moving: the labels of objects that move against the background.
+        moving: the labels of objects that move relative to the background.
         background_prev_T_curr: (4, 4) the camera's own motion, None for a static camera.
     """
 
@@ -73,18 +74,18 @@ def make_pair_truth(
     *,
     background_prev_T_curr: Float64Array | None = None,
     scene: str | None = None,
-    moving: float = MOVING,
+    min_displacement: float = MIN_DISPLACEMENT,
 ) -> PairTruth:
-    """Work out the flow and the masks from labels and motions.
+    """Compute the flow and the masks from labels and motions.
 
     Args:
         key: the pair's name.
         curr: the current frame.
         labels: (H, W) int32.
-        objects: one for each label; those without a pixel are left out.
+        objects: one for each label; those without a pixel are dropped.
         background_prev_T_curr: (4, 4), None for a static camera.
-        scene: `key` where None.
-        moving: see `MOVING`.
+        scene: `key` if None.
+        min_displacement: of moving objects, metres; a negative value marks all objects as moving.
 
     Raises:
         DatasetError: a label without an object, or labels of another size than the frame.
@@ -107,15 +108,15 @@ def make_pair_truth(
         scene_flow=flow,
         objects=seen,
         masked=both[labels],
-        moving=frozenset(obj.label for obj, shift in zip(seen, shifts, strict=True) if shift > moving),
+        moving=frozenset(obj.label for obj, shift in zip(seen, shifts, strict=True) if shift > min_displacement),
         background_prev_T_curr=background_prev_T_curr,
     )
 
 
 def truth_of_row(row: PairRow) -> PairTruth:
-    """The truth of a generated pair; rotations are those reduced by symmetry, as in the paper.
+    """The truth of a generated pair; rotations are reduced by symmetry, as in the paper.
 
-    Where the row knows the camera's motion, objects that stand still are background, like everything else that does.
+    If the row holds the camera's motion, static objects are background.
 
     Raises:
         DatasetError: a label without an object.
@@ -139,7 +140,7 @@ def truth_of_row(row: PairRow) -> PairTruth:
         ],
         background_prev_T_curr=None if camera is None or np.array_equal(camera, np.eye(4)) else camera,
         scene=row.scene,
-        moving=MOVING if camera is None else -1.0,
+        min_displacement=MIN_DISPLACEMENT if camera is None else -1.0,
     )
 
 
@@ -149,9 +150,9 @@ def _flow_and_shifts(
     objects: Sequence[TrueObject],
     background_prev_T_curr: Float64Array | None,
 ) -> tuple[Float32Array, list[float]]:
-    """The flow, (H, W, 3), and for each object the metres by which it leaves the background's motion on average.
+    """The flow, (H, W, 3), and each object's mean displacement in metres relative to the background's motion.
 
-    Object by object on its own pixels, not on the whole image: scoring spends its time here.
+    Each object is processed on its own pixels instead of the whole image, since this dominates the scoring time.
     """
     flow = geometry.flow_from_motions(points, labels, {}, background_prev_T_curr)
     pixels = _pixels_by_label(labels)
@@ -159,18 +160,18 @@ def _flow_and_shifts(
     shifts = []
     for obj in objects:
         where = pixels[obj.label]
-        still = flat_flow[where]
+        static = flat_flow[where]
         ones = np.ones((1, len(where)), np.int32)
         moved = geometry.flow_from_motions(flat_points[where][None], ones, {1: obj.prev_T_curr})[0]
         flat_flow[where] = moved
-        distance = np.linalg.norm((moved - still).astype(np.float64), axis=1)
+        distance = np.linalg.norm((moved - static).astype(np.float64), axis=1)
         known = distance[np.isfinite(distance)]
         shifts.append(float(known.mean()) if len(known) else 0.0)
     return flow, shifts
 
 
 def _pixels_by_label(labels: LabelImage) -> list[Int64Array]:
-    """Flat indices of each label's pixels, in the image's order; one sort for all labels."""
+    """Flat indices of each label's pixels in image order, by one sort for all labels."""
     flat = labels.ravel()
     order = np.argsort(flat.astype(np.uint16) if flat.max(initial=0) < 1 << 16 else flat, kind="stable")
     counts = np.bincount(flat)

@@ -1,1 +1,1 @@
-"""How well a result fits the truth: flow, masks, objects, movers, borders."""
+"""Metrics of one pair: flow, masks, object motions, moving objects and boundaries."""

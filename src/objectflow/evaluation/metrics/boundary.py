@@ -1,4 +1,4 @@
-"""Outlines of regions, and how much of one lies near another (boundary measure of Perazzi et al. 2016, Xie et al.)."""
+"""Outlines of regions and their overlap within a tolerance (boundary measure of Perazzi et al. 2016, Xie et al.)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from objectflow.typing import Int64Array, LabelImage
 
 TOLERANCE = 0.003
-"""Share of the image's diagonal by which outlines are dilated; rounded up to whole pixels."""
+"""Dilation of outlines relative to the image's diagonal; rounded up to whole pixels."""
 
 
 def tolerance_pixels(height: int, width: int) -> int:
@@ -20,20 +20,20 @@ def tolerance_pixels(height: int, width: int) -> int:
 def outlines(labels: LabelImage) -> dict[int, Int64Array]:
     """The outline of every object: label -> (N, 2) pixels as (row, column).
 
-    A pixel is on a mask's outline where the mask changes between it and its right, lower or lower right neighbour,
-    so an outline has pixels on both sides. The image's border is no outline: beyond it the mask may go on.
+    A pixel is on a mask's outline if the mask changes between it and its right, lower or lower right neighbour, so an
+    outline has pixels on both sides. The image's border is not an outline, since the mask may continue beyond it.
     """
     padded = np.pad(labels, ((0, 1), (0, 1)), mode="edge")
     corners = (padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:])
     rows, columns = np.nonzero((corners[1] != labels) | (corners[2] != labels) | (corners[3] != labels))
-    # Among these pixels a mask changes at all that have its label at one of the four places.
+    # A mask changes at those of these pixels that have its label at one of the four corners.
     values = np.stack([corner[rows, columns] for corner in corners])
     pixels = np.stack([rows, columns], axis=1)
     return {int(label): pixels[(values == label).any(0)] for label in np.unique(values) if label != 0}
 
 
 def count_near(pixels: Int64Array, others: Int64Array, radius: int, height: int, width: int) -> int:
-    """How many of `pixels` (N, 2) lie within `radius` of one of `others` (M, 2), Euclidean; of an image's size."""
+    """The number of `pixels` (N, 2) within a Euclidean `radius` of `others` (M, 2), in an image of that size."""
     reach = np.arange(-radius, radius + 1)
     dy, dx = np.meshgrid(reach, reach, indexing="ij")
     disk = dy**2 + dx**2 <= radius**2

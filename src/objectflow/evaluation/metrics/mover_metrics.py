@@ -1,4 +1,4 @@
-"""Which of the moving objects are found, and what is taken for one that is none."""
+"""Detection of moving objects: those that are found, and false ones."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from objectflow.evaluation.metrics.region_matching import assign_regions, compar
 from objectflow.evaluation.metrics.segmentation_metrics import EXTRACTED
 from objectflow.motion import SceneMotion
 
-LEAST_SHARE = 60 / (320 * 240)
-"""Of the image: a moving object of fewer pixels need not be found, nor is it an error to find it."""
+MIN_AREA_RATIO = 60 / (320 * 240)
+"""Minimum share of the image's pixels of an object that must be found; finding a smaller one is not an error."""
 
 
 @dataclass(frozen=True)
@@ -21,29 +21,29 @@ class MoverScore:
     """The moving objects of one pair.
 
     Attributes:
-        true: that are to be found: those that move, that both frames show, and that are no mere speck.
-        predicted: that were found to move, but for those that stand for a moving object that need not be found.
-        found: true ones that a predicted one stands for with F >= 0.75.
-        still: nothing in the pair moves at all.
+        true: number of moving objects to be found: visible in both frames and at least `MIN_AREA_RATIO` large.
+        predicted: number of objects predicted to move, except those matched to a moving object outside `true`.
+        found: number of true ones matched by a predicted one with F >= 0.75.
+        static: nothing in the pair moves.
     """
 
     true: int
     predicted: int
     found: int
-    still: bool
+    static: bool
 
     @property
     def false_mover(self) -> bool:
-        """Something was taken to move where nothing does."""
-        return self.still and self.predicted > 0
+        """Whether an object is predicted to move in a pair without motion."""
+        return self.static and self.predicted > 0
 
 
-NO_MOVERS = MoverScore(true=0, predicted=0, found=0, still=False)
-"""Nothing was looked for."""
+NO_MOVERS = MoverScore(true=0, predicted=0, found=0, static=False)
+"""The score of a pair that was not scored for moving objects."""
 
 
 def score_movers(predicted: SceneMotion, truth: PairTruth) -> MoverScore:
-    """Score the objects that a method says move against those that do; objects that it says stand still do not count.
+    """Compare the objects that a method predicts to move with those that do; static predictions are ignored.
 
     Raises:
         ResultError: the result is of another size than the truth.
@@ -52,9 +52,9 @@ def score_movers(predicted: SceneMotion, truth: PairTruth) -> MoverScore:
     guess = keep_labels(predicted.labels, {obj.id for obj in predicted.objects if obj.moving})
     regions = compare(true, guess).without_background()
     both = {obj.label for obj in truth.objects if obj.in_both}
-    wanted = np.array([int(label) in both for label in regions.true_ids], dtype=np.bool_)
-    wanted &= regions.true_sizes >= LEAST_SHARE * true.size
+    required = np.array([int(label) in both for label in regions.true_ids], dtype=np.bool_)
+    required &= regions.true_sizes >= MIN_AREA_RATIO * true.size
     pairs = assign_regions(regions)
-    found = sum(bool(wanted[i]) and regions.f[i, j] >= EXTRACTED for i, j in pairs)
-    excused = sum(not wanted[i] for i, _ in pairs)
-    return MoverScore(int(wanted.sum()), len(regions.predicted_ids) - excused, found, not truth.moving)
+    found = sum(bool(required[i]) and regions.f[i, j] >= EXTRACTED for i, j in pairs)
+    ignored = sum(not required[i] for i, _ in pairs)
+    return MoverScore(int(required.sum()), len(regions.predicted_ids) - ignored, found, not truth.moving)

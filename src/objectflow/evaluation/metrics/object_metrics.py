@@ -1,4 +1,4 @@
-"""The error of each found object's rigid motion."""
+"""Errors of the rigid motions of matched objects."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from objectflow.evaluation.metrics.symmetry_error import rotation_error
 from objectflow.motion import ObjectMotion
 
 GOOD_DEG, GOOD_CM = 5.0, 2.0
-"""The share of motions better than both is reported."""
+"""Limits of a good motion; the share of motions below both is reported."""
 
 
 @dataclass(frozen=True)
 class ObjectError:
-    """How far a found object's motion is off.
+    """The error of a matched object's motion.
 
     Attributes:
         label: of the true object.
         f: F-measure of its mask.
-        rotation_deg: smallest over the object's symmetry group; NaN where the truth has no rotation.
-        translation_cm: distance between where the two motions take the object's true centre.
-        moving: whether it really moves.
+        rotation_deg: smallest error over the object's symmetry group; NaN if the true rotation is unknown.
+        translation_cm: distance between the positions to which the two motions take the object's true centre.
+        moving: whether the true object moves.
     """
 
     label: int
@@ -37,19 +37,19 @@ class ObjectError:
 
     @property
     def good(self) -> bool:
-        """Under 5 degrees (where the rotation is known) and under 2 cm."""
+        """Whether the error is under 5 degrees (if the rotation is known) and under 2 cm."""
         return self.translation_cm < GOOD_CM and not self.rotation_deg >= GOOD_DEG
 
 
 def score_objects(
     predicted: Iterable[ObjectMotion], truth: PairTruth, matches: Iterable[ObjectMatch]
 ) -> tuple[ObjectError, ...]:
-    """The error of every matched object that is visible in both frames; one seen in one frame shows no motion.
+    """The error of every matched object that is visible in both frames; others have no observable motion.
 
     Args:
-        predicted: the found objects.
+        predicted: the predicted objects.
         truth: of the pair.
-        matches: pairs of objects, of `SegmentationScore.matches`.
+        matches: matched objects, from `SegmentationScore.matches`.
     """
     motions = {obj.id: obj for obj in predicted}
     objects = {obj.label: obj for obj in truth.objects}
@@ -61,9 +61,9 @@ def score_objects(
 
 
 def translation_error(predicted: ObjectMotion, true: TrueObject) -> float:
-    """Centimetres between where two motions take the true centre X, which no turn of the symmetry group moves."""
-    carried = geometry.transform(predicted.prev_T_curr, true.center)
-    return float(100 * np.linalg.norm(carried - geometry.transform(true.prev_T_curr, true.center)))
+    """Distance in cm between the true centre X under two motions; symmetries of the object leave X in place."""
+    moved = geometry.transform(predicted.prev_T_curr, true.center)
+    return float(100 * np.linalg.norm(moved - geometry.transform(true.prev_T_curr, true.center)))
 
 
 def _object_error(predicted: ObjectMotion, true: TrueObject, f: float, moving: bool) -> ObjectError:

@@ -17,15 +17,15 @@ from objectflow.motion import SceneMotion
 
 @dataclass(frozen=True)
 class PairScore:
-    """What one method's result on one pair is worth.
+    """The scores of one method's result on one pair.
 
     Attributes:
         key, scene: of the pair.
-        flow, segmentation: the image's scores.
-        objects: of the matched objects.
-        seconds: what the estimate took.
-        regions: of every true object, matched or not.
-        movers: of those that move.
+        flow, segmentation: scores of the image.
+        objects: errors of the matched objects.
+        seconds: runtime of the estimate.
+        regions: scores of every true object, matched or not.
+        movers: detection of the moving objects.
     """
 
     key: str
@@ -42,15 +42,15 @@ def score_pair(predicted: SceneMotion, truth: PairTruth) -> PairScore:
     """Score one result.
 
     Raises:
-        ResultError: it is of another size than the truth.
+        ResultError: the result is of another size than the truth.
     """
     segmentation = score_segmentation(truth.labels, predicted.labels)
-    moves = np.zeros(int(truth.labels.max(initial=0)) + 1, np.bool_)
-    moves[list(truth.moving)] = True
+    moving = np.zeros(int(truth.labels.max(initial=0)) + 1, np.bool_)
+    moving[list(truth.moving)] = True
     return PairScore(
         key=truth.key,
         scene=truth.scene,
-        flow=score_flow(predicted.scene_flow, truth.scene_flow, truth.masked, moves[truth.labels]),
+        flow=score_flow(predicted.scene_flow, truth.scene_flow, truth.masked, moving[truth.labels]),
         segmentation=segmentation,
         objects=score_objects(predicted.objects, truth, segmentation.matches),
         seconds=predicted.seconds,

@@ -1,4 +1,4 @@
-"""Mask and flow of each true object: what the breakdowns by displacement, rotation and size add up."""
+"""Mask and flow scores of each true object, for the breakdowns by displacement, rotation and size."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from objectflow.typing import Float32Array
 
 @dataclass(frozen=True)
 class RegionScore:
-    """How well one true object was found.
+    """The scores of one true object.
 
     Attributes:
         label: of the true object.
-        f: F-measure of the mask that stands for it; 0 where none does.
-        epe_cm: mean over its pixels that have truth and prediction; NaN without any.
+        f: F-measure of the mask that is matched to it; 0 without a match.
+        epe_cm: mean end-point error over its pixels with truth and prediction; NaN without such pixels.
     """
 
     label: int
@@ -36,16 +36,16 @@ def score_regions(
     Args:
         predicted: (H, W, 3) flow in metres.
         truth: of the pair.
-        matches: pairs of objects, of `SegmentationScore.matches`.
+        matches: matched objects, from `SegmentationScore.matches`.
     """
     f = {match.true: match.f for match in matches}
     pixels = np.flatnonzero(truth.labels)
     a, b = (np.ascontiguousarray(flow.reshape(-1, 3)[pixels].T, np.float64) for flow in (predicted, truth.scene_flow))
     errors = end_point_errors(a, b)
-    there = np.isfinite(errors)
-    owners = truth.labels.ravel()[pixels[there]]
+    finite = np.isfinite(errors)
+    owners = truth.labels.ravel()[pixels[finite]]
     size = int(truth.labels.max(initial=0)) + 1
-    count, total = np.bincount(owners, minlength=size), np.bincount(owners, errors[there], minlength=size)
+    count, total = np.bincount(owners, minlength=size), np.bincount(owners, errors[finite], minlength=size)
     return tuple(
         RegionScore(
             obj.label,

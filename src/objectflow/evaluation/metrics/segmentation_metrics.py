@@ -1,4 +1,4 @@
-"""Precision, recall, F and extracted objects of one image, in the three published ways of averaging."""
+"""Precision, recall, F-measure and extracted objects of one image, with the three published ways of averaging."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from objectflow.evaluation.metrics.region_matching import Regions, assign_region
 from objectflow.typing import LabelImage
 
 EXTRACTED = 0.75
-"""The F-measure from which an object counts as extracted."""
+"""Minimum F-measure of an extracted object."""
 
 
 class PRF(NamedTuple):
@@ -23,7 +23,7 @@ class PRF(NamedTuple):
 
 
 class ObjectMatch(NamedTuple):
-    """A predicted object that stands for a true one, and their F-measure."""
+    """A true object, the predicted one that is matched to it, and their F-measure."""
 
     true: int
     predicted: int
@@ -32,20 +32,20 @@ class ObjectMatch(NamedTuple):
 
 @dataclass(frozen=True)
 class SegmentationScore:
-    """The segmentation of one image.
+    """The segmentation scores of one image.
 
     Attributes:
-        fbms: Ochs, Malik, Brox 2014: background is a region; an unmatched true region has P = 1 and R = 0; surplus
-            predictions are ignored; means over true regions; F is their harmonic mean.
-        mean_f: Bideau et al. 2018: the same pairs, an unmatched region has 0 throughout, F is averaged directly.
-            The headline.
+        fbms: Ochs, Malik, Brox 2014: the background is a region; an unmatched true region has P = 1 and R = 0;
+            surplus predictions are ignored; P and R are means over true regions, F is their harmonic mean.
+        mean_f: Bideau et al. 2018, the headline: the same matches; an unmatched region has P = R = F = 0; F is the
+            mean over regions.
         overlap: Xie et al. 2020 (UOIS): without background; matched pixels over all predicted and all true pixels.
-        boundary: the same authors' measure of outlines.
-        fbms_extracted: true objects matched in the first form with F > 0.75.
-        extracted: the same with F >= 0.75; the headline's.
-        overlap_extracted: the same among the third form's pairs.
-        true_objects, predicted_objects: how many there are.
-        matches: the third form's pairs of objects.
+        boundary: the measure of outlines by the same authors.
+        fbms_extracted: number of true objects matched in the first form with F > 0.75.
+        extracted: number of true objects matched in the first form with F >= 0.75, for the headline.
+        overlap_extracted: number of true objects matched in the third form with F >= 0.75.
+        true_objects, predicted_objects: numbers of objects.
+        matches: the matched objects of the third form.
     """
 
     fbms: PRF
@@ -61,13 +61,13 @@ class SegmentationScore:
 
 
 def score_segmentation(true: LabelImage, predicted: LabelImage) -> SegmentationScore:
-    """Score one label image; how regions are numbered does not matter, only that 0 is the background.
+    """Score one label image; label 0 is the background, and the numbering of objects does not matter.
 
     Args:
         true, predicted: (H, W) int32 labels of the current frame.
 
     Raises:
-        ResultError: images of two sizes, or labels that are negative or no integers.
+        ResultError: images of different sizes, or labels that are negative or not integers.
     """
     regions = compare(true, predicted)
     pairs = assign_regions(regions)
@@ -94,7 +94,7 @@ def score_segmentation(true: LabelImage, predicted: LabelImage) -> SegmentationS
 
 
 def harmonic_mean(precision: float, recall: float) -> float:
-    """2PR / (P + R), 0 where both are 0."""
+    """2PR / (P + R), or 0 if both are 0."""
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
@@ -129,7 +129,7 @@ def _boundary(true: LabelImage, predicted: LabelImage, matches: Sequence[ObjectM
     near_true = near_predicted = 0
     for match in matches:
         line, guess = true_lines.get(match.true), predicted_lines.get(match.predicted)
-        if line is None or guess is None:  # a mask that fills the image has no outline
+        if line is None or guess is None:  # a mask of the whole image has no outline
             continue
         near_true += count_near(guess, line, radius, height, width)
         near_predicted += count_near(line, guess, radius, height, width)
@@ -139,7 +139,7 @@ def _boundary(true: LabelImage, predicted: LabelImage, matches: Sequence[ObjectM
 
 
 def _of_counts(hits: int, predicted: int, found: int, true: int) -> PRF:
-    """P = hits / predicted, R = found / true; nothing predicted is precise, nothing to find is found."""
+    """P = hits / predicted and R = found / true; P is 1 without predictions, R is 1 without true objects."""
     if predicted == 0 and true == 0:
         return PRF(1.0, 1.0, 1.0)
     P = hits / predicted if predicted else 1.0

@@ -1,4 +1,4 @@
-"""The error of a rotation, up to the turns of an object's symmetry group."""
+"""Rotation errors up to an object's symmetry group."""
 
 from __future__ import annotations
 
@@ -12,62 +12,67 @@ from objectflow.geometry.se3 import rotation_angle, so3_exp
 from objectflow.typing import Float64Array
 
 _ALIGNED = np.deg2rad(2.0)
-"""Axes nearer than this to parallel or to a right angle are meant to be: axes found on meshes are not exact."""
-_SAME_TURN = np.deg2rad(5.0)
+"""Radians within which axes count as parallel or orthogonal, since axes found on meshes are not exact."""
+_SAME_ROTATION = np.deg2rad(5.0)
+"""Radians within which two rotations of a group count as one."""
 _LARGEST_GROUP = 60
-"""The icosahedron's."""
+"""Order of the icosahedral rotation group."""
 
 
 def rotation_error(predicted: ArrayLike, true: ArrayLike, axes: ArrayLike = (), orders: Sequence[int] = ()) -> float:
     """Degrees between two rotations `prev_R_curr`, the smallest over the object's symmetry group.
 
-    A turn g of the group, made in the current frame, cannot be seen, so `true @ g` is as true as `true`.
+    A rotation g of the group, applied in the current frame, is not observable, so `true @ g` is as correct as `true`.
 
     Args:
         predicted, true: (3, 3).
-        axes: (A, 3) symmetry axes in the current camera frame, through the object's centre.
-        orders: for each axis n >= 2 for C_n, 0 for continuous. The axes need only generate the group.
+        axes: (A, 3) symmetry axes in the current camera frame, through the object's centre; generators suffice.
+        orders: of each axis, n >= 2 for C_n, 0 for continuous.
 
     Raises:
-        GeometryError: axes and orders that do not fit or generate no group of a solid.
+        GeometryError: axes and orders of different number, invalid ones, or axes that generate no finite group.
     """
     P, T = np.asarray(predicted, dtype=np.float64), np.asarray(true, dtype=np.float64)
     a = _unit_axes(axes, orders)
-    E = T.T @ P  # as a turn in the current frame
+    E = T.T @ P  # the error as a rotation in the current frame
     continuous = [axis for axis, order in zip(a, orders, strict=True) if order == 0]
     if continuous:
         return _error_of_revolution(E, continuous, [(x, n) for x, n in zip(a, orders, strict=True) if n != 0])
     if len(a) == 0:
         return float(np.degrees(rotation_angle(E)))
-    return float(np.degrees(rotation_angle(np.swapaxes(turn_group(a, orders), -1, -2) @ E).min()))
+    return float(np.degrees(rotation_angle(np.swapaxes(rotation_group(a, orders), -1, -2) @ E).min()))
 
 
-def turn_group(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
-    """(G, 3, 3): every turn of the finite group that C_n axes generate, the identity first.
+def rotation_group(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
+    """(G, 3, 3) all rotations of the finite group that C_n axes generate, the identity first.
+
+    Args:
+        axes: (A, 3).
+        orders: n >= 2 of each axis.
 
     Raises:
-        GeometryError: the axes generate more turns than any solid's group has.
+        GeometryError: the axes generate more rotations than the group of any solid has.
     """
     a = _unit_axes(axes, orders)
     powers = [2 * np.pi * k / n * axis for axis, n in zip(a, orders, strict=True) for k in range(1, n)]
-    turns = so3_exp(np.array(powers).reshape(-1, 3))
+    rotations = so3_exp(np.array(powers).reshape(-1, 3))
     generators = so3_exp(2 * np.pi * a / np.array(orders, dtype=np.float64)[:, None])
-    # Different turns of a group with C_n are 2 pi / n apart or more.
-    same = min(_SAME_TURN, np.pi / max(orders, default=2))
+    # Different rotations of a group with C_n are at least 2 pi / n apart.
+    same = min(_SAME_ROTATION, np.pi / max(orders, default=2))
     limit = max(_LARGEST_GROUP, 2 * max(orders, default=0))
     group = np.eye(3)[None]
-    fresh = _new_turns(turns, group, same)
+    fresh = _new_rotations(rotations, group, same)
     while len(fresh):
         group = np.concatenate([group, fresh])
         if len(group) > limit:
             raise GeometryError(f"symmetry axes of orders {list(orders)} generate no finite group: check their angles")
         products = (fresh[:, None] @ generators[None]).reshape(-1, 3, 3)
-        fresh = _new_turns(products, group, same)
+        fresh = _new_rotations(products, group, same)
     return group
 
 
-def _new_turns(candidates: Float64Array, known: Float64Array, same: float) -> Float64Array:
-    """The candidates that differ from all known turns and from each other."""
+def _new_rotations(candidates: Float64Array, known: Float64Array, same: float) -> Float64Array:
+    """The candidates that differ from all known rotations and from each other."""
     floor = 1 + 2 * np.cos(same)  # trace(A^T B) = 1 + 2 cos of the angle between A and B
     new = candidates[~(_traces(candidates, known) > floor).any(1)]
     equal = _traces(new, new) > floor
@@ -79,7 +84,7 @@ def _new_turns(candidates: Float64Array, known: Float64Array, same: float) -> Fl
 
 
 def _traces(a: Float64Array, b: Float64Array) -> Float64Array:
-    """(A, 3, 3) and (B, 3, 3) -> (A, B): trace(a^T b) of every two."""
+    """trace(a^T b) of all pairs of (A, 3, 3) and (B, 3, 3), as (A, B)."""
     product: Float64Array = a.reshape(-1, 9) @ b.reshape(-1, 9).T
     return product
 
@@ -87,7 +92,7 @@ def _traces(a: Float64Array, b: Float64Array) -> Float64Array:
 def _error_of_revolution(
     E: Float64Array, continuous: Sequence[Float64Array], others: Sequence[tuple[Float64Array, int]]
 ) -> float:
-    """The least angle of E up to turns about a continuous axis: how far E tilts that axis."""
+    """The smallest angle of E up to rotations about a continuous axis, which is the tilt of that axis."""
     axis = continuous[0]
     may_flip = False
     for other, order in [*((x, 0) for x in continuous[1:]), *others]:
@@ -96,7 +101,7 @@ def _error_of_revolution(
             continue
         if order == 2 and cosine < np.sin(_ALIGNED):
             may_flip = True
-        else:  # any other turn moves the axis, and with two continuous axes every turn is one of the group
+        else:  # any other rotation moves the axis; two continuous axes generate all rotations
             return 0.0
     moved = E @ axis
     tilt = float(np.arctan2(np.linalg.norm(np.cross(axis, moved)), axis @ moved))

@@ -1,1 +1,1 @@
-"""Methods that know a part of the truth, as upper bounds."""
+"""Oracles: methods that are given a part of the truth, as upper bounds."""

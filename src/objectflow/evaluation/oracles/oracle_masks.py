@@ -1,4 +1,4 @@
-"""`oracle-masks`: true masks with our rigid fit, to show how much of a method's error comes from its masks."""
+"""`oracle-masks`: true masks with our rigid fit, which shows how much of a method's error comes from its masks."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting, matching, registration
-from objectflow.alignment.camera_motion import background_motion
+from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import PixelMatches
 from objectflow.errors import ResultError
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.evaluation.data.truth import MIN_DISPLACEMENT
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.resample import resize_nearest
 from objectflow.methods.base import check_camera_option
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
-_MOVED = 0.005
-"""Metres of mean displacement against the background from which an object is said to move."""
-
 
 @dataclass(frozen=True, eq=False)
 class OracleMasks:
-    """An estimator that is told the true labels of one pair, and nothing of its motions.
+    """An estimator that is given the true labels of one pair, but no motions.
 
     Attributes:
         labels: (H, W) int32 of the current frame; 0 = background.
         camera: "static", "moving" or "auto", as for every method.
-        match_width: pixels; wider images are matched at this width, as `consensus` does.
+        match_width: pixels; wider images are matched at this width, as in `consensus`.
         seed: of the random minimal sets.
     """
 
@@ -44,33 +44,33 @@ class OracleMasks:
         """See `Estimator`.
 
         Raises:
-            FrameError: the frames differ in size or intrinsics.
-            ResultError: the labels are of another size.
+            FrameError: frames that differ in size or intrinsics.
+            ResultError: labels of another size than the frame.
         """
         start = time.perf_counter()
-        check_pair(prev, curr)
+        pair = FramePair(prev, curr)
         if self.labels.shape != curr.depth.shape:
-            raise ResultError(f"true labels {self.labels.shape} do not fit the frame {curr.depth.shape}")
-        # 1. Match and lift, at the width of `consensus`.
-        prev_m, curr_m = prev.downscaled_to_width(self.match_width), curr.downscaled_to_width(self.match_width)
-        labels_m = _narrow_labels(self.labels, curr_m.depth.shape)
-        along_flow, features = _flow_matches(prev_m, curr_m), matching.feature_matches(prev_m, curr_m)
-        target, sources = registration.RegistrationTarget(prev_m), registration.RegistrationSources(curr_m)
-        # 2. The background from what is background in truth.
-        rng = np.random.default_rng(self.seed)
-        behind = _only(curr_m, labels_m == 0)
+            raise ResultError(f"true labels {self.labels.shape} do not match the frame {curr.depth.shape}")
+        # 1. Match the frames, at the width of `consensus`.
+        small = pair.at_width(self.match_width)
+        labels_s = resize_nearest(self.labels, small.curr.frame.depth.shape)
+        along_flow, features = _flow_matches(small), matching.feature_matches(small.prev, small.curr)
+        # 2. The camera's motion, from the true background.
         camera_motion = None
-        if behind is not None:
-            matches = _inside(along_flow, labels_m == 0) + _inside(features, labels_m == 0)
-            camera_motion = background_motion(matches, target, behind, camera=self.camera, rng=rng)
+        if ((self.labels == 0) & curr.valid).any():
+            rng = np.random.default_rng(self.seed)
+            settings = CameraMotionSettings(width=self.match_width)
+            camera_motion = background_motion(
+                pair, camera=self.camera, rng=rng, mask=self.labels == 0, settings=settings
+            )
         background = np.eye(4) if camera_motion is None else camera_motion
-        # 3. Every mask's motion, and the flow made from the motions.
-        points = geometry.back_project(curr.depth, curr.camera)
+        # 3. The motion of each mask, and the flow of the motions.
+        points = pair.curr.points
         objects = []
         for label in np.unique(self.labels[self.labels > 0]).tolist():
-            mask, mask_m = self.labels == label, labels_m == label
-            source = sources.take(mask_m)
-            found = _fit(target, source, _inside(along_flow, mask_m), _inside(features, mask_m), background)
+            mask, mask_s = self.labels == label, labels_s == label
+            source = small.sources.take(mask_s)
+            found = _fit(small.target, source, _inside(along_flow, mask_s), _inside(features, mask_s), background)
             seen = points[mask & curr.valid].astype(np.float64)
             objects.append(_describe(label, int(mask.sum()), found, seen, background))
         motions = {obj.id: obj.prev_T_curr for obj in objects}
@@ -91,10 +91,10 @@ def _fit(
     features: PixelMatches,
     background: Float64Array,
 ) -> registration.RegistrationResult:
-    """Refine from the fits to matches and from the background's motion; what explains most of the object stands.
+    """Refine the background's motion and fits to matches, and keep the result that explains most of the object.
 
-    Flow and features fail apart: features on dull things, flow on objects that moved far, where it still agrees with
-    itself in the wrong place. So each has a start of its own.
+    Optical flow and features have separate starts because they fail in different cases: features on objects without
+    texture, flow on objects with large displacements, where a wrong match can still be consistent.
     """
     matches = along_flow + features
     starts = [background]
@@ -115,34 +115,19 @@ def _describe(
         id=label,
         pixels=pixels,
         score=round(found.fitness, 4),
-        moving=shift > _MOVED,
+        moving=shift > MIN_DISPLACEMENT,
         center=center,
         prev_T_curr=found.prev_T_curr,
     )
 
 
-def _narrow_labels(labels: LabelImage, shape: tuple[int, ...]) -> LabelImage:
-    """Labels at the pixels that `RgbdFrame.resized` takes depth from."""
-    rows = ((np.arange(shape[0]) + 0.5) * labels.shape[0] / shape[0]).astype(int)
-    columns = ((np.arange(shape[1]) + 0.5) * labels.shape[1] / shape[1]).astype(int)
-    return np.asarray(labels[rows[:, None], columns[None, :]])
-
-
-def _flow_matches(prev: RgbdFrame, curr: RgbdFrame) -> PixelMatches:
-    """Flow on a grid twice as fine as that of `consensus`: small objects need their matches."""
-    flow, consistent = matching.dense_flow(matching.gray(prev.color), matching.gray(curr.color))
-    return matching.flow_matches(flow, consistent, prev, curr, stride=4)
+def _flow_matches(pair: FramePair) -> PixelMatches:
+    """Optical flow on a grid twice as fine as that of `consensus`, for small objects."""
+    flow, consistent = matching.dense_flow(pair.prev.gray, pair.curr.gray)
+    return matching.flow_matches(flow, consistent, pair.prev.frame, pair.curr.frame, stride=4)
 
 
 def _inside(matches: PixelMatches, mask: BoolMask) -> PixelMatches:
     columns, rows = np.rint(matches.pixels).astype(int).T
     height, width = mask.shape
     return matches[mask[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)]]
-
-
-def _only(frame: RgbdFrame, mask: BoolMask) -> RgbdFrame | None:
-    """The frame with depth only inside a mask; None where there would be none."""
-    depth = np.where(mask, frame.depth, np.float32(0))
-    if not (depth > 0).any():
-        return None
-    return RgbdFrame(color=frame.color, depth=depth, camera=frame.camera, name=frame.name)

@@ -1,4 +1,4 @@
-"""`oracle-motion`: true motions with our grouping, to show how much of a network's error comes from the grouping."""
+"""`oracle-motion`: true motions with our grouping, which shows how much of a network's error is the grouping's."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from objectflow import geometry
+from objectflow.dataset.targets import RADIUS_ALONE
 from objectflow.errors import ResultError
 from objectflow.evaluation.data.truth import PairTruth
 from objectflow.frame import RgbdFrame, check_pair
@@ -17,16 +18,13 @@ from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, tr
 from objectflow.motion import SceneMotion
 from objectflow.typing import Float32Array, Float64Array
 
-RADIUS_ALONE = 0.5
-"""B in metres of an object without another one to be told from."""
-
 
 @dataclass(frozen=True, eq=False)
 class OracleMotion:
-    """An estimator whose dense maps (mask, X, T, R, eta, B) are the truth; its labels are the grouping's.
+    """An estimator whose dense maps (mask, X, T, R, eta, B) are the truth and whose labels are those of the grouping.
 
-    What it loses against the truth is what the grouping cannot tell apart: objects with one trajectory feature, and
-    those of fewer pixels than `settings.min_pixels`.
+    Its errors are those of the grouping: objects with the same trajectory feature, and objects with fewer pixels than
+    `settings.min_pixels`.
 
     Attributes:
         truth: of the pair.
@@ -42,8 +40,8 @@ class OracleMotion:
         """See `Estimator`.
 
         Raises:
-            FrameError: the frames differ in size or intrinsics.
-            ResultError: the truth is of another size.
+            FrameError: frames that differ in size or intrinsics.
+            ResultError: a truth of another size than the frame.
         """
         start = time.perf_counter()
         check_pair(prev, curr)
@@ -51,16 +49,16 @@ class OracleMotion:
         if true.shape != curr.depth.shape:
             raise ResultError(f"{self.truth.key}: the truth is {true.shape}, the frame {curr.depth.shape}")
         points = geometry.back_project(curr.depth, curr.camera)
-        # 1. The dense maps that a network without error would give.
+        # 1. The dense maps of a perfect network.
         center, translation, rotation, radius = self._maps()
         distance = np.linalg.norm(points - center, axis=-1)
-        # 2. Our grouping; pixels nearer to their object's centre come first, as eta has it.
+        # 2. Our grouping; pixels nearer to their object's centre come first, as with eta.
         settings = self.settings or GroupingSettings()
         X, T, R = (_to_torch(one) for one in (center, translation, rotation))
         feature = trajectory_feature(X, T, R, settings.rotation_weight)
         eta = torch.from_numpy(-np.nan_to_num(distance, nan=1e3))
         labels = group(feature, torch.from_numpy(true > 0), eta, torch.from_numpy(radius), settings).numpy()
-        # 3. Our averaging, and the flow made again from the motions.
+        # 3. Our averaging, and the flow of the averaged motions.
         objects = average_motions(
             labels, rotation, translation, center, confidence=np.ones(labels.shape, dtype=np.float32)
         )
@@ -75,18 +73,18 @@ class OracleMotion:
         )
 
     def _maps(self) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array]:
-        """X, T and R as (H, W, 3) and B as (H, W): half the distance to the nearest other trajectory (equation 6)."""
+        """X, T and R, (H, W, 3), and B, (H, W): half the distance to the nearest other trajectory (equation 6)."""
         objects = self.truth.objects
         table = np.zeros((int(self.truth.labels.max(initial=0)) + 1, 10), np.float32)
         center = np.array([obj.center for obj in objects]).reshape(-1, 3)
-        carried = np.array([geometry.transform(obj.prev_T_curr, obj.center) for obj in objects]).reshape(-1, 3)
-        trajectory = np.concatenate([center, carried], axis=1)
+        moved = np.array([geometry.transform(obj.prev_T_curr, obj.center) for obj in objects]).reshape(-1, 3)
+        trajectory = np.concatenate([center, moved], axis=1)
         for k, obj in enumerate(objects):
             others = np.delete(trajectory, k, axis=0)
             gaps = np.linalg.norm(others - trajectory[k], axis=1)
             B = 0.5 * gaps.min() if len(gaps) else RADIUS_ALONE
-            turn = geometry.so3_log(obj.prev_T_curr[:3, :3])
-            table[obj.label] = np.concatenate([center[k], carried[k] - center[k], turn, [B]])
+            rotation = geometry.so3_log(obj.prev_T_curr[:3, :3])
+            table[obj.label] = np.concatenate([center[k], moved[k] - center[k], rotation, [B]])
         dense = table[self.truth.labels]
         return dense[..., :3], dense[..., 3:6], dense[..., 6:9], np.ascontiguousarray(dense[..., 9])
 

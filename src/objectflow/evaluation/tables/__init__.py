@@ -1,1 +1,1 @@
-"""From scores to tables: summaries, intervals, breakdowns and text."""
+"""Tables of an evaluation: summaries, bootstrap intervals, breakdowns and text."""

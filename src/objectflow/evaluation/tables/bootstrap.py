@@ -1,4 +1,4 @@
-"""Intervals of means, ratios and medians by resampling scenes (Efron 1979, percentile form)."""
+"""Bootstrap intervals of means, ratios and medians by resampling scenes (Efron 1979, percentile method)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from objectflow.errors import DatasetError
 from objectflow.typing import Float64Array
 
 DRAWS = 1000
+"""Number of resamples."""
 COVERAGE = 0.95
+"""Coverage of the intervals, 0..1."""
 _BLOCK = 1 << 22
-"""Weights held at once: 32 MB whatever the size of the set."""
+"""Maximum number of weights in memory: 32 MB for sets of any size."""
 
 
 class Interval(NamedTuple):
-    """A statistic of a set and its bootstrap interval; NaN where there is nothing to take it of."""
+    """A statistic of a set and its bootstrap interval; NaN if it is undefined."""
 
     value: float
     low: float
@@ -29,7 +31,7 @@ class Interval(NamedTuple):
 class Bootstrap:
     """Resamples of a set, the same for every statistic.
 
-    Whole scenes are drawn, since pairs of one scene are no independent samples.
+    Whole scenes are resampled, since pairs of one scene are not independent.
     """
 
     def __init__(self, scenes: Sequence[str], rng: Generator, draws: int = DRAWS) -> None:
@@ -37,8 +39,8 @@ class Bootstrap:
 
         Args:
             scenes: the scene of every pair.
-            rng: drawn from once, here.
-            draws: how many resamples.
+            rng: used once, for the seed.
+            draws: number of resamples.
 
         Raises:
             DatasetError: no pairs.
@@ -52,15 +54,15 @@ class Bootstrap:
         self._kept: Float64Array | None = None
 
     def mean(self, values: ArrayLike) -> Interval:
-        """Of one value a pair; NaN leaves a pair out."""
+        """The mean of one value per pair; NaN excludes a pair."""
         x = np.asarray(values, dtype=np.float64)
-        there = np.isfinite(x)
-        return self.ratio(np.where(there, x, 0), there)
+        finite = np.isfinite(x)
+        return self.ratio(np.where(finite, x, 0), finite)
 
     def ratio(self, numerators: ArrayLike, denominators: ArrayLike) -> Interval:
-        """Of two sums over pairs."""
+        """The ratio of two sums over pairs."""
         sums = np.stack([np.asarray(numerators, np.float64), np.asarray(denominators, np.float64)], axis=1)
-        return _interval(_divide(*sums.sum(0)), np.concatenate([_divide(*(w @ sums).T) for w in self._weights()]))
+        return _interval(_divide(*sums.sum(0)), np.concatenate([_divide(*(w @ sums).T) for w in self.weights()]))
 
     def harmonic(self, precisions: ArrayLike, recalls: ArrayLike) -> Interval:
         """The harmonic mean of two means over pairs."""
@@ -72,25 +74,29 @@ class Bootstrap:
 
         return _interval(
             of(*(sums.sum(0) / count)),
-            np.concatenate([of(*(w @ sums / w.sum(1)[:, None]).T) for w in self._weights()]),
+            np.concatenate([of(*(w @ sums / w.sum(1)[:, None]).T) for w in self.weights()]),
         )
 
     def median(self, values: ArrayLike, pairs: ArrayLike | None = None) -> Interval:
-        """Of values of which pair `pairs[i]` brought the i-th; of one value a pair where None. NaN is left out."""
+        """The median of values, of which the i-th belongs to pair `pairs[i]` (None: one per pair); NaN is excluded."""
         x = np.asarray(values, dtype=np.float64)
         owner = np.arange(len(x)) if pairs is None else np.asarray(pairs, dtype=np.int64)
-        there = np.isfinite(x)
-        order = np.argsort(x[there], kind="stable")
-        x, owner = x[there][order], owner[there][order]
+        finite = np.isfinite(x)
+        order = np.argsort(x[finite], kind="stable")
+        x, owner = x[finite][order], owner[finite][order]
         if len(x) == 0:
             return _interval(np.array(np.nan), np.array([]))
-        draws = np.concatenate([_weighted_median(x, w[:, owner]) for w in self._weights(len(x))])
+        draws = np.concatenate([_weighted_median(x, w[:, owner]) for w in self.weights(len(x))])
         return _interval(np.asarray(np.median(x)), draws)
 
-    def _weights(self, width: int = 1) -> Iterator[Float64Array]:
-        """How often each pair is in each resample, (some draws, pairs), in blocks; the same at every call."""
+    def weights(self, width: int = 1) -> Iterator[Float64Array]:
+        """Blocks of (draws, pairs): how often each pair is in each resample; every call gives the same numbers.
+
+        Args:
+            width: number of values per draw that the caller computes, which limits the size of a block.
+        """
         block = max(1, _BLOCK // max(len(self._scene), width))
-        if self._draws * len(self._scene) <= _BLOCK:  # drawing takes longer than what is done with the draws
+        if self._draws * len(self._scene) <= _BLOCK:  # drawing takes longer than the statistics
             if self._kept is None:
                 self._kept = np.concatenate(list(self._draw(self._draws)))
             yield from (self._kept[start : start + block] for start in range(0, self._draws, block))
@@ -111,11 +117,11 @@ def _divide(numerator: Float64Array, denominator: Float64Array) -> Float64Array:
 
 
 def _weighted_median(x: Float64Array, weights: Float64Array) -> Float64Array:
-    """The median of rising values x (N,), each repeated weights[d, n] times, for every draw d; NaN where none is."""
-    rising = np.cumsum(weights, axis=1)
-    half = rising[:, -1:] / 2
-    lower = np.minimum((rising < half).sum(1), len(x) - 1)
-    upper = np.minimum((rising <= half).sum(1), len(x) - 1)
+    """The median of sorted values x (N,), each repeated weights[d, n] times, for every draw d; NaN if all are 0."""
+    cumulative = np.cumsum(weights, axis=1)
+    half = cumulative[:, -1:] / 2
+    lower = np.minimum((cumulative < half).sum(1), len(x) - 1)
+    upper = np.minimum((cumulative <= half).sum(1), len(x) - 1)
     return np.asarray(np.where(half[:, 0] > 0, (x[lower] + x[upper]) / 2, np.nan))
 
 

@@ -1,4 +1,4 @@
-"""Masks and flow by what was to be found: number of objects, displacement, rotation, visible pixels, symmetry."""
+"""Mask and flow scores by number of objects, displacement, rotation, visible pixels and symmetry."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from objectflow.evaluation.tables.bootstrap import Bootstrap
 from objectflow.evaluation.tables.table import Cell, Column, Row, Table
 
 SEED = 0
-"""Of the bootstrap."""
+"""Seed of the bootstrap."""
 
 _OPEN = math.inf
 
 
 @dataclass(frozen=True)
 class Breakdown:
-    """What to sort by. Bins are [edge, next edge); the last is open.
+    """A property by which objects are binned. Bins are [edge, next edge); the last one is open.
 
     Attributes:
-        name, title: short and printed.
-        edges: of the bins, rising.
-        of: the value of an object, in its pair.
-        names: of the bins, where numbers do not say it.
-        whole: values are whole numbers.
+        name, title: short name, and printed title.
+        edges: of the bins, increasing.
+        of: the value of an object in its pair.
+        names: of the bins, if not given by the edges.
+        whole: whether values are whole numbers.
     """
 
     name: str
@@ -40,14 +40,14 @@ class Breakdown:
     whole: bool = False
 
     def heading(self, number: int) -> str:
-        """The name of a bin."""
+        """The printed name of a bin."""
         if self.names:
             return self.names[number]
         low, high = self.edges[number], (*self.edges, _OPEN)[number + 1]
         return f"{low:g}+" if high == _OPEN else f"{low:g}-{high - self.whole:g}"
 
     def bin(self, value: float) -> int | None:
-        """The number of a value's bin; None of NaN."""
+        """The number of a value's bin; None for NaN."""
         return None if math.isnan(value) else int(np.searchsorted(self.edges, value, side="right")) - 1
 
 
@@ -75,7 +75,7 @@ _MEASURES = (
 
 
 def breakdown_tables(evaluation: Evaluation) -> list[Table]:
-    """A table for each measure and each thing to sort by; objects that both frames show, each counting the same."""
+    """A table for each measure and breakdown, over objects visible in both frames, with equal weights."""
     return [_table(evaluation, breakdown, measure) for breakdown in BREAKDOWNS for measure in _MEASURES]
 
 
@@ -103,7 +103,7 @@ def _table(evaluation: Evaluation, breakdown: Breakdown, measure: _Measure) -> T
 
 
 def _bins_of(pair: PairFacts, breakdown: Breakdown) -> dict[int, int]:
-    """Label -> number of the bin, of the objects that both frames show."""
+    """Label -> number of the bin, for the objects visible in both frames."""
     found = {obj.label: breakdown.bin(breakdown.of(obj, pair)) for obj in pair.objects if obj.in_both}
     return {label: number for label, number in found.items() if number is not None}
 
@@ -112,10 +112,10 @@ def _cells(method: MethodResult, bins: dict[str, dict[int, int]], measure: _Meas
     if not method.scores:
         return [Cell()] * count
     sums, counts = np.zeros((len(method.scores), count)), np.zeros((len(method.scores), count))
-    for place, score in enumerate(method.scores):
+    for row, score in enumerate(method.scores):
         for number, value in _values(score, bins[score.key], measure):
-            sums[place, number] += value
-            counts[place, number] += 1
+            sums[row, number] += value
+            counts[row, number] += 1
     bootstrap = Bootstrap([score.scene for score in method.scores], np.random.default_rng(SEED))
     return [Cell.of(bootstrap.ratio(sums[:, number], counts[:, number])) for number in range(count)]
 

@@ -1,6 +1,6 @@
-"""The rows that the paper itself prints (Shao, Shah, Dwaracherla, Bohg, RA-L 2018): its two tables of results.
+"""The rows of the paper's two tables of results (Shao, Shah, Dwaracherla, Bohg, RA-L 2018).
 
-Its data are not ours: other object models, other renderer, other test scenes. Its runtimes are of its own machine.
+The paper's data differ from ours in object models, renderer and test scenes; its runtimes were measured elsewhere.
 """
 
 from __future__ import annotations
@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 SOURCE = "Shao et al., RA-L 2018, printed values on the paper's own data"
+"""Origin of the rows, for the tables' notes."""
 
 
 class PaperFlow(NamedTuple):
-    """A row of the table of scene flow: mean and standard deviation; cm, degrees and seconds a pair."""
+    """A row of the table of scene flow: means and standard deviations in cm and degrees, and seconds per pair."""
 
     method: str
     epe_all: tuple[float, float]
@@ -22,7 +23,7 @@ class PaperFlow(NamedTuple):
 
 
 class PaperSegmentation(NamedTuple):
-    """A row of the table of segmentation, for the set Test or TestSeq."""
+    """A row of the table of segmentation, on Test or TestSeq."""
 
     method: str
     precision: float

@@ -1,4 +1,4 @@
-"""A method's scores over a set: the numbers of the tables, each with its interval."""
+"""Summary of a method's scores over a set: the numbers of the tables, each with its interval."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from objectflow.evaluation.tables.bootstrap import Bootstrap, Interval
 
 @dataclass(frozen=True)
 class FlowSummary:
-    """The flow on one set of pixels, over a set of pairs.
+    """The flow errors on one kind of pixels, over a set of pairs.
 
     Attributes:
-        epe_cm, aae_deg: means over images of the images' means; an image without such pixels is left out.
+        epe_cm, aae_deg: means over images of the images' means; images without such pixels are excluded.
         epe_std, aae_std: standard deviations over images.
-        under: shares of pixels, pooled, with an end point error below 1, 5 and 10 cm.
-        density: share of pixels, pooled, that have a prediction.
-        images: how many count.
+        under: shares of all pixels of the set with an end-point error below 1, 5 and 10 cm.
+        density: share of all pixels of the set that have a prediction.
+        images: number of images included.
     """
 
     epe_cm: Interval
@@ -39,7 +39,7 @@ class FlowSummary:
 
 @dataclass(frozen=True)
 class SegmentationSummary:
-    """One of the three forms over a set of pairs; `extracted` of `true_objects` is printed as n/m."""
+    """One form of the segmentation scores over a set of pairs; `extracted` counts out of `true_objects`."""
 
     precision: Interval
     recall: Interval
@@ -51,12 +51,12 @@ class SegmentationSummary:
 
 @dataclass(frozen=True)
 class ObjectSummary:
-    """The motions of matched objects, pooled.
+    """The motion errors of all matched objects of a set.
 
     Attributes:
         rotation_deg, translation_cm: medians.
-        good: share under 5 degrees and 2 cm.
-        matched: how many objects count.
+        good: share of objects under 5 degrees and 2 cm.
+        matched: number of matched objects.
     """
 
     rotation_deg: Interval
@@ -67,35 +67,35 @@ class ObjectSummary:
 
 @dataclass(frozen=True)
 class MoverSummary:
-    """The moving objects, pooled.
+    """The detection of all moving objects of a set.
 
     Attributes:
-        precision: share of the objects found to move that stand for one that does, with F >= 0.75.
-        recall: share of the moving objects that are found so.
-        true, found: how many there are.
-        clean: share of the pairs without any motion in which nothing is said to move.
-        still: how many such pairs there are.
+        precision: share of the objects predicted to move that are matched to a moving object with F >= 0.75.
+        recall: share of the moving objects that are found in this way.
+        true, found: number of moving objects, and of those found.
+        no_false_mover: share of the pairs without motion in which no object is predicted to move.
+        static_pairs: number of pairs without motion.
     """
 
     precision: Interval
     recall: Interval
     true: int
     found: int
-    clean: Interval
-    still: int
+    no_false_mover: Interval
+    static_pairs: int
 
 
 @dataclass(frozen=True)
 class Summary:
-    """What one method is worth on a set.
+    """The scores of one method on a set.
 
     Attributes:
-        pairs, scenes: how many were scored.
-        flow_all, flow_masked, flow_moving: on all pixels, on objects seen in both frames, on those that move.
-        mean_f: the headline; fbms and overlap: the other two forms. boundary: its `extracted` is the overlap's.
-        objects: motions.
-        movers: moving objects found, and false ones.
-        runtime: seconds a pair.
+        pairs, scenes: numbers of scored pairs and of their scenes.
+        flow_all, flow_masked, flow_moving: on all pixels, on objects visible in both frames, on moving objects.
+        mean_f: the headline form. fbms, overlap: the other two forms. boundary: with the overlap's `extracted`.
+        objects: motions of matched objects.
+        movers: moving objects, found and false ones.
+        runtime: seconds per pair.
     """
 
     pairs: int
@@ -116,7 +116,7 @@ def summarise(scores: Sequence[PairScore], rng: Generator, *, warm_up: int = 1, 
     """Average the scores of one method over a set.
 
     Args:
-        scores: one a pair, in the order in which they were run.
+        scores: one per pair, in the order of their runs.
         rng: for the bootstrap.
         warm_up, machine: see `summarise_runtime`.
 
@@ -145,15 +145,15 @@ def _flow(bootstrap: Bootstrap, scores: Sequence[PixelScore]) -> FlowSummary:
     epe = np.array([score.epe_cm for score in scores])
     aae = np.array([score.aae_deg for score in scores])
     pixels = [score.pixels for score in scores]
-    there = np.isfinite(epe)
+    finite = np.isfinite(epe)
     return FlowSummary(
         epe_cm=bootstrap.mean(epe),
         aae_deg=bootstrap.mean(aae),
-        epe_std=float(epe[there].std()) if there.any() else float("nan"),
-        aae_std=float(aae[there].std()) if there.any() else float("nan"),
+        epe_std=float(epe[finite].std()) if finite.any() else float("nan"),
+        aae_std=float(aae[finite].std()) if finite.any() else float("nan"),
         under=tuple(bootstrap.ratio([score.under[k] for score in scores], pixels) for k in range(len(THRESHOLDS_CM))),
         density=bootstrap.ratio([score.predicted for score in scores], pixels),
-        images=int(there.sum()),
+        images=int(finite.sum()),
     )
 
 
@@ -191,12 +191,12 @@ def _objects(bootstrap: Bootstrap, scores: Sequence[PairScore]) -> ObjectSummary
 
 def _movers(bootstrap: Bootstrap, scores: Sequence[MoverScore]) -> MoverSummary:
     found, true = [score.found for score in scores], [score.true for score in scores]
-    still = [score.still for score in scores]
+    static = [score.static for score in scores]
     return MoverSummary(
         precision=bootstrap.ratio(found, [score.predicted for score in scores]),
         recall=bootstrap.ratio(found, true),
         true=sum(true),
         found=sum(found),
-        clean=bootstrap.ratio([score.still and not score.false_mover for score in scores], still),
-        still=sum(still),
+        no_false_mover=bootstrap.ratio([score.static and not score.false_mover for score in scores], static),
+        static_pairs=sum(static),
     )

@@ -1,4 +1,4 @@
-"""A table of numbers with their intervals, before it is written as text, Markdown, CSV or JSON."""
+"""A table of numbers with their intervals, independent of its output as text, Markdown, CSV or JSON."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from objectflow.evaluation.tables.bootstrap import Interval
 Origin = Literal["ours", "oracle", "paper"]
 
 MARKS: dict[Origin, str] = {"ours": "", "oracle": " †", "paper": " (paper)"}
-"""Put behind the labels of rows that must not be compared as they are."""
+"""Suffixes of the labels of rows that are not comparable with the others."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column; numbers have so many digits after the point, or are percents."""
+    """A column; its numbers have `digits` decimals, or are percentages."""
 
     name: str
     heading: str
@@ -29,11 +29,11 @@ class Cell:
     """One number.
 
     Attributes:
-        value: NaN where there is nothing to take it of; share 0..1 where the column says percent.
-        low, high: the 95% interval; NaN where there is none.
-        std: over images; NaN where it is not asked for.
-        total: the number is a count out of this many; None where it is not.
-        text: printed instead of the number, where it cannot be one (">= 1").
+        value: NaN if it is undefined; a share 0..1 in a column of percentages.
+        low, high: the 95% interval; NaN if there is none.
+        std: standard deviation over images; NaN if it is not reported.
+        total: the total if the value is a count out of it, otherwise None.
+        text: printed instead of the value, such as ">= 1".
     """
 
     value: float = math.nan
@@ -45,13 +45,13 @@ class Cell:
 
     @classmethod
     def of(cls, interval: Interval, std: float = math.nan) -> Cell:
-        """A statistic with its interval."""
+        """A cell of a statistic with its interval."""
         return cls(interval.value, interval.low, interval.high, std)
 
 
 @dataclass(frozen=True)
 class Row:
-    """A method's numbers, by the columns' names; a name that is missing prints as a dash."""
+    """A method's cells by the names of the columns; a missing cell prints as a dash."""
 
     label: str
     origin: Origin
@@ -65,7 +65,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """A table; `name` is short and unique, `main` ones are printed in the terminal too."""
+    """A table; `name` is short and unique, and `main` tables are also printed in the terminal."""
 
     name: str
     title: str
@@ -75,7 +75,7 @@ class Table:
 
 
 def write_value(cell: Cell | None, column: Column) -> str:
-    """The number itself, "4.29 ±2.93", "43719/64556", or a dash."""
+    """The value as text: "4.29 ±2.93", "43719/64556", or a dash."""
     if cell is None or (math.isnan(cell.value) and not cell.text):
         return "-"
     if cell.text:
@@ -87,7 +87,7 @@ def write_value(cell: Cell | None, column: Column) -> str:
 
 
 def write_interval(cell: Cell | None, column: Column) -> str:
-    """The interval, "[4.10, 4.52]", or nothing."""
+    """The interval as text, "[4.10, 4.52]", or an empty string."""
     if cell is None or cell.total is not None or math.isnan(cell.low):
         return ""
     return f"[{_number(cell.low, column)}, {_number(cell.high, column)}]"

@@ -16,13 +16,13 @@ from objectflow.evaluation.tables.tables import Tables
 from objectflow.storage.serialize import to_plain
 
 WIDE = 100
-"""Columns of a terminal that has room for intervals."""
+"""Minimum width in columns of a terminal in which intervals are printed."""
 
 _CSV_COLUMNS = ("table", "row", "origin", "column", "value", "low", "high", "std", "total", "text")
 
 
 def print_tables(tables: Tables, console: Console) -> None:
-    """Print the main tables and the notes; narrow terminals get no intervals."""
+    """Print the main tables and the notes; without intervals in narrow terminals."""
     wide = console.width >= WIDE
     for table in tables.tables:
         if table.main:
@@ -36,14 +36,14 @@ def print_tables(tables: Tables, console: Console) -> None:
 
 
 def to_markdown(tables: Tables, *, main_only: bool = False) -> str:
-    """Every table with its notes, as a document."""
+    """The tables with their notes as a Markdown document."""
     parts = [_markdown(table) for table in tables.tables if table.main or not main_only]
     notes = "\n".join(f"- {_escape(note)}" for note in tables.notes)
     return "\n".join([*parts, notes, ""])
 
 
 def to_csv(tables: Tables) -> str:
-    """One line a number: table, row, column, value, interval, deviation; then the facts of the set on every line."""
+    """One line per number: table, row, column, value, interval, deviation, and the facts about the set."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow([*_CSV_COLUMNS, *tables.facts])

@@ -1,4 +1,4 @@
-"""The paper's two tables with our rows beside the paper's own, and what they leave out."""
+"""The paper's two tables with our rows beside the paper's, and further tables."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from objectflow.evaluation.tables.summary import FlowSummary, SegmentationSummar
 from objectflow.evaluation.tables.table import Cell, Column, Row, Table
 
 SHOWN_FAILURES = 3
-"""Named for each method; the rest is counted, and named in results.json."""
+"""Number of failures listed per method; the others are counted, and listed in results.json."""
 
 
 @dataclass(frozen=True)
 class Tables:
-    """All tables of an evaluation, what they were taken of, and what must be said beside them."""
+    """All tables of an evaluation, facts about the set, and notes to print with the tables."""
 
     facts: dict[str, str | int]
     tables: tuple[Table, ...]
@@ -26,7 +26,7 @@ class Tables:
 
 
 def make_tables(evaluation: Evaluation) -> Tables:
-    """Lay out the numbers of an evaluation."""
+    """Arrange the numbers of an evaluation in tables."""
     tables = [
         _flow_table(evaluation),
         _segmentation_table(evaluation),
@@ -133,13 +133,13 @@ def _motion_table(evaluation: Evaluation) -> Table:
 
 
 def _mover_table(evaluation: Evaluation) -> Table:
-    """In the terminal only where some pairs are without motion: elsewhere next to everything moves."""
+    """Printed in the terminal only if some pairs have no motion; in other sets nearly everything moves."""
     columns = (
         Column("found", "found"),
         Column("mover_precision", "precision"),
         Column("mover_recall", "recall"),
-        Column("still", "pairs without motion"),
-        Column("clean", "of them without a false mover", percent=True),
+        Column("static_pairs", "pairs without motion"),
+        Column("no_false_mover", "no false mover", percent=True),
     )
 
     def cells(summary: Summary) -> dict[str, Cell]:
@@ -148,13 +148,15 @@ def _mover_table(evaluation: Evaluation) -> Table:
             "found": Cell(movers.found, total=movers.true),
             "mover_precision": Cell.of(movers.precision),
             "mover_recall": Cell.of(movers.recall),
-            "still": Cell(movers.still, total=summary.pairs),
-            "clean": Cell.of(movers.clean),
+            "static_pairs": Cell(movers.static_pairs, total=summary.pairs),
+            "no_false_mover": Cell.of(movers.no_false_mover),
         }
 
-    some_still = any(method.summary is not None and method.summary.movers.still for method in evaluation.methods)
-    title = "Moving objects, found with F >= 0.75"
-    return Table("movers", title, columns, _rows(evaluation, cells), main=some_still)
+    some_static = any(
+        method.summary is not None and method.summary.movers.static_pairs for method in evaluation.methods
+    )
+    title = "Moving objects, found with F >= 0.75; no false mover: share of the pairs without motion"
+    return Table("movers", title, columns, _rows(evaluation, cells), main=some_static)
 
 
 def _more_flow_table(evaluation: Evaluation) -> Table:
@@ -180,7 +182,7 @@ def _more_flow_table(evaluation: Evaluation) -> Table:
             "density": Cell.of(summary.flow_all.density),
         }
 
-    title = "Scene flow, shares of pixels; moving: on objects that really move"
+    title = "Scene flow, shares of pixels; moving: on objects that move"
     return Table("scene-flow-shares", title, columns, _rows(evaluation, cells))
 
 
@@ -204,7 +206,7 @@ def _forms_table(evaluation: Evaluation) -> Table:
 
 
 def _as_printed(mean_and_deviation: tuple[float, float]) -> Cell:
-    """With the paper's own digits."""
+    """Mean and deviation with the paper's digits."""
     mean, deviation = mean_and_deviation
     return Cell(mean, std=deviation, text=f"{mean:.3f} ±{deviation:.2f}")
 
@@ -229,7 +231,7 @@ def _rows(evaluation: Evaluation, cells: Callable[[Summary], dict[str, Cell]]) -
 
 
 def _pairs_column(evaluation: Evaluation) -> tuple[Column, ...]:
-    """How many pairs a method has scores of, where it is not all of them for every method."""
+    """A column with the number of scored pairs, if any method failed on some."""
     return (Column("pairs", "pairs"),) if any(method.failures for method in evaluation.methods) else ()
 
 
@@ -264,7 +266,7 @@ def _notes(evaluation: Evaluation) -> tuple[str, ...]:
         f"Seconds are medians, warmed up, on {machine} ({', '.join(labels)})." for machine, labels in runs.items()
     ]
     if any(method.oracle for method in evaluation.methods):
-        notes.append("† sees the truth: oracles show where error comes from and compete with nobody.")
+        notes.append("† sees the truth: oracles show where errors come from and are not competitors.")
     notes += [_failures(method, len(evaluation.pairs)) for method in evaluation.methods if method.failures]
     return tuple(notes)
 

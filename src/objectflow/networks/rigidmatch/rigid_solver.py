@@ -38,7 +38,7 @@ def solve_motions(
         eye = torch.eye(3, dtype=H.dtype, device=H.device)
         H = H + (prior / safe)[..., None] * (Y[..., :, None] * X[..., None, :] + arm**2 * eye)
         H = torch.where((total > 0)[..., None], H, eye)
-        R = nearest_rotation(H)
+        R, _ = nearest_rotation(H)
         t = q_mean - (R @ p_mean[..., None])[..., 0]
     return R.to(curr.dtype), t.to(curr.dtype)
 

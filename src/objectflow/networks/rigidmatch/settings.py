@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import typing
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from objectflow.errors import MethodError
-from objectflow.networks.sceneflownet.settings import read_fields
+from objectflow.storage.serialize import settings_from_plain, to_plain
 
 
 @dataclass(frozen=True)
@@ -92,8 +91,7 @@ class RigidMatchSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Numbers, strings and lists of numbers, for JSON."""
-        values = dataclasses.asdict(self)
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+        return dict(to_plain(self))
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> RigidMatchSettings:
@@ -102,7 +100,7 @@ class RigidMatchSettings:
         Raises:
             MethodError: an unknown field, a value of another type, or one that no network can be built from.
         """
-        return cls(**read_fields(cls, values))
+        return settings_from_plain(cls, values, what="network setting", error=MethodError)
 
 
 SMALL = RigidMatchSettings(

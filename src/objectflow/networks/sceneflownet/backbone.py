@@ -1,4 +1,4 @@
-"""The two Siamese encoders: colour by ResNet-50 to stride 8, XYZ by a VGG; and pretrained weights for the former."""
+"""The two Siamese encoders, ResNet-50 to stride 8 for colour and a VGG for XYZ; pretrained weights for the former."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.settings import NetworkSettings, Stages
 
 _EXPANSION = 4
-"""A bottleneck's output has this many times the channels of its 3x3 layer (He et al. 2016)."""
+"""Channels of a bottleneck's output relative to its 3x3 layer (He et al. 2016)."""
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of ImageNet's colours, in 0..1: what pretrained trunks expect."""
+"""Mean and standard deviation of ImageNet's colours, 0..1, by which pretrained trunks expect colours normalised."""
 
 
 class Bottleneck(nn.Module):
-    """1x1, 3x3, 1x1 with a shortcut (He et al. 2016, figure 5), its stride in the 3x3 layer as in pretrained files.
+    """1x1, 3x3, 1x1 with a shortcut (He et al. 2016, figure 5); the stride is in the 3x3 layer as in pretrained files.
 
     (B, inputs, H, W) -> (B, 4 width, H / stride, W / stride).
     """
@@ -47,7 +47,7 @@ class Bottleneck(nn.Module):
 
 
 class Trunk(nn.Module):
-    """ResNet-50 up to stride 8, under torchvision's names: `conv1`, `bn1`, `layer1`, `layer2`.
+    """ResNet-50 up to stride 8, with torchvision's names: `conv1`, `bn1`, `layer1`, `layer2`.
 
     (B, 3, H, W) normalised colour -> (B, 8 width, H / 8, W / 8). H and W are multiples of 8.
     """
@@ -65,7 +65,7 @@ class Trunk(nn.Module):
         self.train()
 
     def train(self, mode: bool = True) -> Trunk:
-        """As ever, but frozen normalisation stays frozen."""
+        """As in torch, except that frozen normalisation stays frozen."""
         super().train(mode)
         if self.frozen_norm:
             for module in self.modules():
@@ -89,7 +89,7 @@ def _layer(inputs: int, width: int, blocks: int, stride: int) -> nn.Sequential:
 class ColorEncoder(nn.Module):
     """Colour features for the correlation: the trunk, then a 1x1 layer to the paper's 256 channels.
 
-    (B, 3, H, W) colour in 0..1 -> (B, color_channels, H / 8, W / 8), not rectified. H and W are multiples of 8.
+    (B, 3, H, W) colour in 0..1 -> (B, color_channels, H / 8, W / 8), without ReLU. H and W are multiples of 8.
     """
 
     mean: Tensor
@@ -98,7 +98,6 @@ class ColorEncoder(nn.Module):
     def __init__(self, settings: NetworkSettings) -> None:
         super().__init__()
         self.trunk = Trunk(settings.trunk_width, settings.trunk_blocks, frozen_norm=settings.trunk_norm == "frozen")
-        self.mean_correlation = settings.correlation_mean
         self.project = nn.Conv2d(self.trunk.channels, settings.color_channels, 1)
         self.register_buffer("mean", torch.tensor(_MEAN).reshape(1, 3, 1, 1), persistent=False)
         self.register_buffer("deviation", torch.tensor(_DEVIATION).reshape(1, 3, 1, 1), persistent=False)
@@ -110,7 +109,7 @@ class ColorEncoder(nn.Module):
 
 
 def shape_encoder(inputs: int, stages: Stages) -> nn.Sequential:
-    """VGG: 3x3 layers with ReLU, the last of each stage with stride 2; (B, inputs, H, W) -> (B, C, H / 8, W / 8)."""
+    """VGG of 3x3 layers with ReLU, the last of each stage with stride 2: (B, inputs, H, W) -> (B, C, H / 8, W / 8)."""
     layers: list[nn.Module] = []
     for stage in stages:
         for i, width in enumerate(stage):
@@ -120,10 +119,10 @@ def shape_encoder(inputs: int, stages: Stages) -> nn.Sequential:
 
 
 def load_backbone(trunk: Trunk, path: str | Path) -> None:
-    """Fill the trunk from a file with torchvision's `resnet50` state dict (.pth, or .safetensors).
+    """Load a file with torchvision's `resnet50` state dict (.pth or .safetensors) into the trunk.
 
-    Every tensor of the trunk must be there in its size, and the parts used must hold nothing else; `layer3`, `layer4`
-    and `fc` are left out. Pickled code is never run.
+    Every tensor of the trunk must be present with its size, and the parts used must hold no other tensors; `layer3`,
+    `layer4` and `fc` are ignored. Pickled code is never run.
 
     Raises:
         MethodError: no such file, not a state dict, or one of another network (the message names the tensor).
@@ -135,7 +134,7 @@ def load_backbone(trunk: Trunk, path: str | Path) -> None:
     wanted = trunk.state_dict()
     for name, value in wanted.items():
         if name.endswith("num_batches_tracked"):
-            found.setdefault(name, value)  # absent from torchvision's older files; nothing here reads it
+            found.setdefault(name, value)  # absent from torchvision's older files, and not used here
         elif name not in found:
             raise MethodError(f"{path}: not a ResNet-50 state dict: {name} is missing")
         elif found[name].shape != value.shape:

@@ -1,7 +1,7 @@
 """Correlation of the colour features, and the max-pool of XYZ features weighted by it (equations 2 and 3).
 
-The product of a cell's 441 correlations with 64 channels is never held: the pool goes over the displacements one by
-one and keeps the largest value and, for the backward pass, which displacement it came from.
+The product of a cell's 441 correlations with 64 channels is never stored: the pool iterates over the displacements
+and keeps the largest value and, for the backward pass, the index of its displacement.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ def correlate(curr: Tensor, prev: Tensor, reach: int) -> Tensor:
     rows = curr.permute(0, 2, 3, 1).reshape(batch * height, width, channels)
     out = []
     for k in range(side):
-        # Whole rows against whole rows is one matrix product: more sums than needed, but at the speed of BLAS.
+        # One matrix product of whole rows computes more sums than needed, but at the speed of BLAS.
         others = padded[:, :, k : k + height].permute(0, 2, 1, 3).reshape(batch * height, channels, width + 2 * reach)
         product = torch.bmm(rows, others)
-        # Entry (column, column + l) is wanted. With rows one longer, the band stands upright.
+        # Entries (column, column + l) are needed. Lengthening the rows aligns this band with the columns.
         skewed = F.pad(product.reshape(batch * height, -1), (0, width))
         band = skewed.reshape(batch, height, width, width + side)[..., :side]
         out.append(band.permute(0, 3, 1, 2))
@@ -42,7 +42,7 @@ def correlate(curr: Tensor, prev: Tensor, reach: int) -> Tensor:
 
 
 def weighted_max_pool(weights: Tensor, values: Tensor, reach: int) -> Tensor:
-    """The largest product of weight and value over each cell's patch, channel by channel (equation 3).
+    """The largest product of weight and value over each cell's patch, per channel (equation 3).
 
     Args:
         weights: (B, (2 L + 1)^2, H, W), as `correlate` orders them.
@@ -50,9 +50,9 @@ def weighted_max_pool(weights: Tensor, values: Tensor, reach: int) -> Tensor:
         reach: L, in cells.
 
     Returns:
-        (B, C, H, W). The gradient goes to the first displacement that reaches the maximum.
+        (B, C, H, W). The gradient goes to the first displacement that attains the maximum.
     """
-    # Whole rows in one piece: three times as fast where channels come last elsewhere.
+    # Contiguous rows are three times as fast if the rest of the network is in channels-last format.
     weights, values = weights.contiguous(), values.to(weights.dtype).contiguous()
     if torch.is_grad_enabled() and (weights.requires_grad or values.requires_grad):
         out: Tensor = _pool_with_gradient(weights, values, reach)
@@ -60,14 +60,14 @@ def weighted_max_pool(weights: Tensor, values: Tensor, reach: int) -> Tensor:
     return _pool(weights, values, reach, None)
 
 
-@torch.compiler.disable  # type: ignore[untyped-decorator]  # thousands of small steps: compiling them takes minutes and gains nothing
+@torch.compiler.disable  # type: ignore[untyped-decorator]  # compiling thousands of small steps takes minutes, without a gain
 def _pool_with_gradient(weights: Tensor, values: Tensor, reach: int) -> Tensor:
     out: Tensor = _WeightedMaxPool.apply(weights, values, reach)  # type: ignore[no-untyped-call]
     return out
 
 
 def _columns(values: Tensor, reach: int, shift: int) -> Tensor:
-    """Values moved by `shift` columns and padded by `reach` rows, so that a shift by rows is a plain slice."""
+    """Values shifted by `shift` columns and padded by `reach` rows, so that a shift by rows is a slice."""
     height, width = values.shape[-2:]
     left = reach - shift
     moved = F.pad(values, (max(left, 0), max(-left, 0), reach, reach))
@@ -75,11 +75,11 @@ def _columns(values: Tensor, reach: int, shift: int) -> Tensor:
 
 
 def _pool(weights: Tensor, values: Tensor, reach: int, index: Tensor | None) -> Tensor:
-    """The pool itself; `index` (B, C, H W) int16, where given, receives the displacement of each maximum."""
+    """The pool; `index`, (B, C, H W) int16 if given, receives the displacement of each maximum."""
     batch, channels, height, width = values.shape
     side = 2 * reach + 1
     flat = weights.reshape(batch, side * side, height * width)
-    # One pair at a time stays in a processor's cache; a GPU wants them all at once.
+    # One pair at a time fits into a CPU's cache; a GPU is faster with all pairs at once.
     step = batch if values.is_cuda else 1
     outputs = []
     for first in range(0, batch, step):
@@ -98,7 +98,7 @@ def _pool(weights: Tensor, values: Tensor, reach: int, index: Tensor | None) -> 
 
 
 class _WeightedMaxPool(torch.autograd.Function):
-    """`weighted_max_pool` with a backward pass that touches the maxima alone."""
+    """`weighted_max_pool` with a backward pass through the maxima only."""
 
     @staticmethod
     def forward(ctx: Any, weights: Tensor, values: Tensor, reach: int) -> Tensor:
@@ -116,7 +116,7 @@ class _WeightedMaxPool(torch.autograd.Function):
         batch, channels, height, width = values.shape
         reach, side = ctx.reach, 2 * ctx.reach + 1
         index = index16.long()
-        # Sums of many terms need more digits than bfloat16 has.
+        # Sums of many terms need more precision than bfloat16 has.
         dtype = torch.promote_types(values.dtype, torch.float32)
         flow = gradient.reshape(batch, channels, height * width).to(dtype)
         padded = F.pad(values, (reach, reach, reach, reach)).flatten(2)
@@ -132,14 +132,14 @@ class _WeightedMaxPool(torch.autograd.Function):
 
 
 def weighted_max_pool_naive(weights: Tensor, values: Tensor, reach: int) -> Tensor:
-    """`weighted_max_pool` as the paper writes it, holding every product: for comparison only."""
+    """`weighted_max_pool` as written in the paper, storing every product; for comparison only."""
     batch, channels, height, width = values.shape
     patches = F.unfold(values, 2 * reach + 1, padding=reach).reshape(batch, channels, -1, height, width)
     return (weights[:, None] * patches).amax(dim=2)
 
 
 def correlate_naive(curr: Tensor, prev: Tensor, reach: int) -> Tensor:
-    """`correlate` as the paper writes it, holding every cell's patch: for comparison only."""
+    """`correlate` as written in the paper, storing every cell's patch; for comparison only."""
     batch, channels, height, width = curr.shape
     patches = F.unfold(prev, 2 * reach + 1, padding=reach).reshape(batch, channels, -1, height, width)
     return (curr[:, :, None] * patches).sum(dim=1)

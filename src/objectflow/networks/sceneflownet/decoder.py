@@ -14,11 +14,11 @@ from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings, Widths
 
 FRAME_CHANNELS = 7
-"""Of a frame as it is linked to fine stages: colour, point, and whether there is one."""
+"""Channels of a frame that is linked to a fine stage: colour, point, and validity of the point."""
 
 
-class Doubling(nn.ConvTranspose2d):
-    """5x5 transposed convolution with stride 2, to an exact size: 2 n or 2 n - 1 (15 cells halve to 8)."""
+class Upsampling(nn.ConvTranspose2d):
+    """5x5 transposed convolution with stride 2 to a given size, 2 n or 2 n - 1 (15 cells are halved to 8)."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 5, stride=2, padding=2)
@@ -29,17 +29,17 @@ class Doubling(nn.ConvTranspose2d):
         return F.conv_transpose2d(x, self.weight, self.bias, stride=2, padding=2, output_padding=extra)
 
 
-class Rise(nn.Module):
-    """One stage upward: double the size, add the skip link, rectify, then 3x3 layers."""
+class UpStage(nn.Module):
+    """One stage upward: double the size, add the skip link, apply ReLU, then 3x3 layers."""
 
     def __init__(self, inputs: int, widths: Widths, skip: int | None) -> None:
         super().__init__()
-        self.enlarge = Doubling(inputs, widths[0])
+        self.enlarge = Upsampling(inputs, widths[0])
         self.link = None if skip is None else nn.Conv2d(skip, widths[0], 3, padding=1)
         self.layers = _layers(widths)
 
     def forward(self, x: Tensor, skip: Tensor | None = None) -> Tensor:
-        """(B, inputs, H, W), and the skip of twice the size -> (B, last width, 2 H, 2 W)."""
+        """(B, inputs, H, W), and the skip link at twice the size -> (B, last width, 2 H, 2 W)."""
         height, width = (2 * x.shape[-2], 2 * x.shape[-1]) if skip is None else skip.shape[-2:]
         x = self.enlarge.to_size(x, height, width)
         if self.link is not None and skip is not None:
@@ -49,7 +49,7 @@ class Rise(nn.Module):
 
 
 class Hourglass(nn.Module):
-    """Down to an eighth of the cells' resolution and up again, then on to the pixels' resolution.
+    """Down to an eighth of the cells' resolution and up again, then on to the resolution of the pixels.
 
     (B, inputs, H / 8, W / 8) -> (B, last of `fine`, H, W).
     """
@@ -63,16 +63,21 @@ class Hourglass(nn.Module):
             inputs = widths[-1]
         self.up = nn.ModuleList()
         for widths, skip in zip(settings.up, reversed(settings.down[:-1]), strict=True):
-            self.up.append(Rise(inputs, widths, skip[-1]))
+            self.up.append(UpStage(inputs, widths, skip[-1]))
             inputs = widths[-1]
         self.fine = nn.ModuleList()
         for widths in settings.fine:
-            self.fine.append(Rise(inputs, widths, FRAME_CHANNELS if settings.details else None))
+            self.fine.append(UpStage(inputs, widths, FRAME_CHANNELS if settings.details else None))
             inputs = widths[-1]
         self.channels = inputs
 
     def forward(self, x: Tensor, details: Sequence[Tensor] = ()) -> Tensor:
-        """Features at the input's resolution; `details`, if settings ask for them, are frames at strides 4, 2, 1."""
+        """Features at the input's resolution.
+
+        Args:
+            x: (B, inputs, H / 8, W / 8).
+            details: with `settings.details`, the (B, 7, H / s, W / s) frames at strides s = 4, 2, 1.
+        """
         skips = []
         for stage in self.down:
             x = stage(x)
@@ -85,7 +90,7 @@ class Hourglass(nn.Module):
 
 
 def _layers(widths: Sequence[int]) -> nn.Sequential:
-    """3x3 layers with ReLU from each width to the next; the first width is what comes in."""
+    """3x3 layers with ReLU from each width to the next; the first width is that of the input."""
     layers: list[nn.Module] = []
     for inputs, outputs in itertools.pairwise(widths):
         layers += [nn.Conv2d(inputs, outputs, 3, padding=1), nn.ReLU(inplace=True)]
@@ -93,7 +98,7 @@ def _layers(widths: Sequence[int]) -> nn.Sequential:
 
 
 class Heads(nn.Module):
-    """One 3x3 linear layer a map: (B, inputs, H, W) -> `SceneFlowNetOutput`, its centre still an offset."""
+    """A 3x3 linear layer per map: (B, inputs, H, W) -> `SceneFlowNetOutput`, with the centre still an offset."""
 
     CHANNELS = SceneFlowNetOutput(rotation=3, translation=3, center=3, mask=2, centrality=2, radius=1)  # type: ignore[arg-type]
 
@@ -105,14 +110,14 @@ class Heads(nn.Module):
         )
 
     def forward(self, x: Tensor) -> SceneFlowNetOutput:
-        """All maps; in float32 also where autocast would make them bfloat16, whose steps are millimetres."""
+        """All maps, in float32 even under autocast: bfloat16 would round to millimetres."""
         if torch.is_autocast_enabled(x.device.type):
             with torch.autocast(x.device.type, enabled=False):
                 return self._apply_all(x.float())
         return self._apply_all(x)
 
     def _apply_all(self, x: Tensor) -> SceneFlowNetOutput:
-        # As one layer: the features, the largest tensor of all, are read once instead of six times.
+        # As one layer, the features, which are the largest tensor of all, are read once instead of six times.
         heads = [cast(nn.Conv2d, self.maps[name]) for name in SceneFlowNetOutput._fields]
         weight = torch.cat([head.weight for head in heads])
         bias = torch.cat([cast(Tensor, head.bias) for head in heads])

@@ -13,26 +13,25 @@ from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
-from objectflow.networks.sceneflownet.normalized_convolution import MaskedShapeEncoder
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 
 _STRIDE = 8
-"""Of the encoders; images are padded to a multiple of it and the maps cropped back."""
+"""Stride of the encoders in pixels; images are padded to a multiple of it, and the maps are cropped."""
 _DISPLACEMENT_CHANNELS = 4
-_FIRST_SHARPNESS = 2.0
-"""Where first runs took it on their own, to within 0.1."""
+"""Channels of `expected_displacement`: a vector, and the highest probability."""
+_INITIAL_SHARPNESS = 2.0
+"""Initial value of `sharpness`; the first runs converged to within 0.1 of it."""
 
 
 class SceneFlowNet(nn.Module):
     """Two RGB-D frames -> dense maps of rigid motions: OurC, or OurS without `settings.correlation`.
 
-    Missing depth is an input of its own: points become 0 there, beside a fourth channel that is 1 where depth is; or,
-    with `settings.missing` "masked", they are left out of the XYZ encoder's sums.
+    Missing points are 0 in the XYZ encoder's input, and a fourth channel is 1 where there is a point.
     """
 
     def __init__(self, settings: NetworkSettings | None = None, *, generator: torch.Generator | None = None) -> None:
-        """Random weights.
+        """Build the network with random weights.
 
         Args:
             settings: widths and depths; the paper's when None.
@@ -41,14 +40,12 @@ class SceneFlowNet(nn.Module):
         super().__init__()
         self.settings = settings or NetworkSettings()
         cosine = self.settings.correlation and self.settings.correlation_cosine
-        self.sharpness = nn.Parameter(torch.tensor(_FIRST_SHARPNESS)) if cosine else None
-        """Logarithm of what cosines are multiplied by."""
+        self.sharpness = nn.Parameter(torch.tensor(_INITIAL_SHARPNESS)) if cosine else None
+        """Logarithm of the factor of the cosines."""
         shape_channels = self.settings.shape_stages[-1][-1]
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
-            masked = self.settings.missing == "masked"
-            stages = self.settings.shape_stages
-            self.shape_encoder: nn.Module = MaskedShapeEncoder(stages) if masked else shape_encoder(4, stages)
+            self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
             extra = _DISPLACEMENT_CHANNELS if self.settings.displacement else 0
             self.hourglass = Hourglass(3 * shape_channels + extra, self.settings)
         else:
@@ -59,7 +56,7 @@ class SceneFlowNet(nn.Module):
         _initialise(self, generator)
 
     def load_backbone(self, path: str | Path) -> None:
-        """Start the colour encoder from torchvision's `resnet50` weights; see `backbone.load_backbone`.
+        """Initialise the colour encoder with torchvision's `resnet50` weights; see `backbone.load_backbone`.
 
         Raises:
             MethodError: a file that does not fit, or a network without a colour encoder (OurS).
@@ -78,7 +75,7 @@ class SceneFlowNet(nn.Module):
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
 
         Returns:
-            Maps at (H, W), whatever H and W are.
+            Maps of size (H, W), for any H and W.
         """
         return self.predict(prev_color, prev_points, curr_color, curr_points)[0]
 
@@ -94,9 +91,9 @@ class SceneFlowNet(nn.Module):
         features, correlation = self._encode(*images)
         details = _pyramid(images[2], images[3]) if self.settings.details else ()
         maps = SceneFlowNetOutput(
-            *(one[..., :height, :width] for one in self.heads(self.hourglass(features, details)))
+            *(channels[..., :height, :width] for channels in self.heads(self.hourglass(features, details)))
         )
-        # X is predicted as an offset from the pixel's own point. Without depth, the nearest points stand in for it.
+        # X is predicted as an offset from the pixel's own point; without depth, from the mean of the nearest points.
         center = maps.center + fill_holes(curr_shape[:, :3], curr_shape[:, 3:])
         maps = maps._replace(
             center=unit * center + origin, translation=unit * maps.translation, radius=unit * maps.radius
@@ -109,21 +106,18 @@ class SceneFlowNet(nn.Module):
         """Features at stride 8 for the hourglass, and the correlation."""
         if self.color_encoder is None:
             return self.shape_encoder(torch.cat([curr_color, prev_color, curr_shape, prev_shape], dim=1)), None
-        # Siamese: both frames in one batch.
-        curr_look, prev_look = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
-        curr_form, prev_form = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
+        # The encoders are Siamese: both frames form one batch.
+        curr_features, prev_features = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
+        curr_geometry, prev_geometry = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
         reach = self.settings.reach
         if self.sharpness is not None:
-            curr_look, prev_look = (F.normalize(look, dim=1) for look in (curr_look, prev_look))
-            correlation = correlate(curr_look, prev_look, reach) * self.sharpness.exp()
+            curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
+            correlation = correlate(curr_features, prev_features, reach) * self.sharpness.exp()
             weights = (correlation - correlation.amax(1, keepdim=True)).exp()
         else:
-            correlation = correlate(curr_look, prev_look, reach)
-            if self.settings.correlation_mean:
-                correlation = correlation / curr_look.shape[1]
+            correlation = correlate(curr_features, prev_features, reach)
             weights = torch.relu(correlation)
-        matched_form = weighted_max_pool(weights, prev_form, reach)
-        parts = [curr_form, prev_form, matched_form]
+        parts = [curr_geometry, prev_geometry, weighted_max_pool(weights, prev_geometry, reach)]
         if self.settings.displacement:
             prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
             parts.append(expected_displacement(correlation, prev_cells, curr_cells, reach))
@@ -131,16 +125,16 @@ class SceneFlowNet(nn.Module):
 
 
 def expected_displacement(correlation: Tensor, prev_cells: Tensor, curr_cells: Tensor, reach: int) -> Tensor:
-    """Where each cell's point was, on average over its patch by the softmax of its correlations, less where it is.
+    """Mean displacement of each cell's point over its patch, weighted by the softmax of its correlations.
 
     Args:
         correlation: (B, (2 L + 1)^2, h, w), as `correlate` orders it.
-        prev_cells, curr_cells: (B, 4, h, w) points, and 1 where there is one.
+        prev_cells, curr_cells: (B, 4, h, w) points, and 1 where there is a point.
         reach: L, in cells.
 
     Returns:
-        (B, 4, h, w): the displacement, 0 where the point or all it could match is missing; and the highest
-        probability among cells that have points.
+        (B, 4, h, w): the displacement, 0 where the point or all its candidates are missing; and the highest
+        probability among cells with points.
     """
     height, width = correlation.shape[-2:]
     patches = F.unfold(prev_cells, 2 * reach + 1, padding=reach)
@@ -156,7 +150,7 @@ def expected_displacement(correlation: Tensor, prev_cells: Tensor, curr_cells: T
 
 
 def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:
-    """The frame at strides 4, 2 and 1: mean colours, but single points, since means would lie between surfaces."""
+    """The frame at strides 4, 2 and 1: mean colours, but sampled points, since mean points would lie off surfaces."""
     return [
         torch.cat([F.avg_pool2d(color, step) if step > 1 else color, shape[..., ::step, ::step]], dim=1)
         for step in (4, 2, 1)
@@ -164,26 +158,26 @@ def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:
 
 
 def _with_validity(points: Tensor) -> Tensor:
-    """(B, 3, H, W) with NaN -> (B, 4, H, W): points with 0 for NaN, and 1 where there is a point."""
+    """(B, 3, H, W) with NaN -> (B, 4, H, W): points with 0 for NaN, and a channel that is 1 where there is a point."""
     valid = torch.isfinite(points).all(dim=1, keepdim=True)
     return torch.cat([torch.where(valid, points, torch.zeros_like(points)), valid.to(points.dtype)], dim=1)
 
 
 def _pad(image: Tensor) -> Tensor:
-    """Zeros at the right and the bottom, up to multiples of the stride."""
+    """Pad with zeros at the right and the bottom, to multiples of the stride."""
     height, width = image.shape[-2:]
     return F.pad(image, (0, -width % _STRIDE, 0, -height % _STRIDE))
 
 
 def fill_holes(points: Tensor, valid: Tensor) -> Tensor:
-    """Give pixels without depth the mean of the points around them, from the smallest block that has any.
+    """Replace missing points by the mean of the points around them, from the smallest block that has any.
 
     Args:
         points: (B, 3, H, W) metres, 0 where not valid.
         valid: (B, 1, H, W), 1 or 0.
 
     Returns:
-        (B, 3, H, W): valid points unchanged; 0 where the whole image has none.
+        (B, 3, H, W): valid points unchanged; 0 if the whole image has none.
     """
     height, width = valid.shape[-2:]
     filled, known = points, valid
@@ -201,7 +195,7 @@ def fill_holes(points: Tensor, valid: Tensor) -> Tensor:
 
 
 def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
-    """He et al. 2015 for rectified layers; heads near 0, so that training starts from 'nothing moves'."""
+    """He et al. 2015 for layers with ReLU; heads near 0, so that training starts from zero motion."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
             fan_in = module.weight[0].numel() if isinstance(module, nn.Conv2d) else module.weight[:, 0].numel() // 4
@@ -216,6 +210,7 @@ def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
                     parameter.mul_(0.01)
             elif isinstance(module, Bottleneck):
                 module.bn3.weight.zero_()  # every block starts as its shortcut (Goyal et al. 2017)
-            elif isinstance(module, ColorEncoder) and not module.mean_correlation:
-                # A sum over channels: without this, matched features would start hundreds of times the others.
+            elif isinstance(module, ColorEncoder):
+                # The correlation is a sum over channels: unscaled, matched features would start hundreds of times
+                # larger than the others.
                 module.project.weight.div_(math.sqrt(2 * module.project.out_channels))

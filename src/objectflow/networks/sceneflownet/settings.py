@@ -1,12 +1,14 @@
-"""What a network is made of: widths and depths, the paper's as defaults, with a JSON form."""
+"""The settings of a `SceneFlowNet` and their JSON form; the defaults are the paper's."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 from objectflow.errors import MethodError
+from objectflow.storage.serialize import settings_from_plain, to_plain
 
 Widths = tuple[int, ...]
 Stages = tuple[Widths, ...]
@@ -21,46 +23,48 @@ class NetworkSettings:
     """
 
     FREE: ClassVar[frozenset[str]] = frozenset()
-    """Fields that no tensor depends on: weights serve other values too."""
+    """Fields that no tensor depends on: weights are valid for any value."""
+
+    RETIRED: ClassVar[Mapping[str, Any]] = {"missing": "channel", "correlation_mean": False}
+    """Fields of earlier versions in headers of weights, with the only value that is still implemented."""
 
     correlation: bool = True
     """False is OurS: one encoder for the four images, no correlation, no max-pool."""
     trunk_width: int = 64
-    """Channels of the colour trunk's first layer; 64 is ResNet-50, which a pretrained file needs."""
+    """Channels of the first layer of the colour trunk; 64 is ResNet-50, which pretrained weights require."""
     trunk_blocks: tuple[int, int] = (3, 4)
-    """Bottlenecks at stride 4 and at stride 8; (3, 4) is ResNet-50."""
+    """Number of bottleneck blocks at stride 4 and at stride 8; (3, 4) is ResNet-50."""
     trunk_norm: Literal["batch", "frozen"] = "batch"
-    """Batch normalisation by the batch's statistics, or always by the stored ones: then every pair is on its own."""
+    """Training normalises by the statistics of the batch, or by the stored ones, which makes pairs independent."""
     color_channels: int = 256
-    """Channels of the colour features that are correlated."""
+    """Channels of the correlated colour features."""
     shape_stages: Stages = ((16, 16, 16), (16, 16, 32), (32, 32, 64))
-    """3x3 layers of the XYZ encoder; the last of each stage halves the size. Three stages: stride 8."""
-    missing: Literal["channel", "masked"] = "channel"
-    """How the XYZ encoder is told of missing depth: by a fourth channel, or by convolutions that leave it out."""
+    """Channels of the 3x3 layers of the XYZ encoder; the last layer of each stage halves the size. Three stages give
+    stride 8."""
     reach: int = 10
-    """L of the paper: the correlation's patch has (2 L + 1)^2 cells of stride 8."""
-    correlation_mean: bool = False
-    """Divide the correlation by the number of channels; the paper sums."""
+    """L of the paper: the correlation covers (2 L + 1)^2 cells of stride 8."""
     correlation_cosine: bool = False
-    """Correlate features of length 1, times a learnt sharpness, and weigh cells relative to the best one, by
-    exp(c - max c); the paper rectifies plain products. Matches are learnt in a few hundred steps."""
+    """Correlate unit-length features scaled by a learnt factor, and weight cells by exp(c - max c); the paper
+    rectifies plain products. Matches are then learnt in a few hundred steps."""
     displacement: bool = False
-    """Give the hourglass each cell's expected displacement too, by the softmax of its correlations, and the highest
-    probability. The paper has it drawn from pooled features alone. Without correlation there is none."""
+    """Pass each cell's expected displacement under the softmax of its correlations, and the highest probability, to
+    the hourglass, which in the paper receives pooled features only. Ignored without correlation."""
     length_unit: float = 1.0
-    """Metres that encoders and heads count in. Points in metres hardly differ within an object, and a step of a head's
-    weights moves what it says by centimetres; 0.1 makes both easier to learn."""
+    """Metres: unit of the encoders' points and of the heads. In metres, points within an object hardly differ, and a
+    step of a head's weights changes its output by centimetres; 0.1 makes both easier to learn."""
     origin_depth: float = 0.0
-    """Metres: encoders count depth from here. The middle of what the network will see makes small numbers."""
+    """Metres: depth that encoders subtract; the middle of the depth range gives small numbers."""
     down: Stages = ((64, 64), (128, 128, 128), (256, 256, 256), (512, 512, 512))
-    """Layers of the hourglass on its way down; the first of every stage but the first is 5x5 and halves the size."""
+    """Channels of the downsampling half of the hourglass; from the second stage on, the first layer of a stage is 5x5
+    and halves the size."""
     up: Stages = ((256, 512, 256), (128, 128, 128), (64, 128, 64))
-    """Layers on its way up; the first of a stage doubles the size and receives the skip link."""
+    """Channels of the upsampling half; the first layer of a stage doubles the size and takes the skip connection."""
     fine: Stages = ((64, 64, 64, 64), (64, 64, 64, 64), (64, 64, 64))
-    """Layers from stride 8 to the input's resolution; the first of a stage doubles the size. Three stages."""
+    """Channels of the layers from stride 8 to the input resolution, in three stages; the first layer of a stage
+    doubles the size."""
     details: bool = False
-    """Show every stage of `fine` the current frame at its own resolution, by a skip link; the paper has none. Edges
-    come out sharper, and X, an offset from the pixel's own point, need not be drawn from stride 8."""
+    """Give every stage of `fine` a skip connection from the current frame at that resolution, unlike the paper. Edges
+    become sharper, and X, an offset from the pixel's own point, does not have to come from stride 8."""
 
     def __post_init__(self) -> None:
         for name in ("trunk_width", "color_channels"):
@@ -76,10 +80,6 @@ class NetworkSettings:
             raise MethodError(f"network setting trunk_blocks needs two numbers from 1, not {self.trunk_blocks}")
         if self.trunk_norm not in ("batch", "frozen"):
             raise MethodError(f"network setting trunk_norm must be batch or frozen, not {self.trunk_norm!r}")
-        if self.missing not in ("channel", "masked"):
-            raise MethodError(f"network setting missing must be channel or masked, not {self.missing!r}")
-        if self.missing == "masked" and not self.correlation:
-            raise MethodError("network setting missing can be masked only with correlation: set it to channel")
         for name, count in (("shape_stages", 3), ("fine", 3), ("down", None), ("up", len(self.down) - 1)):
             stages: Stages = getattr(self, name)
             if not stages or (count is not None and len(stages) != count):
@@ -88,7 +88,7 @@ class NetworkSettings:
                 raise MethodError(f"network setting {name} has a stage without layers or a layer without channels")
 
     def scaled(self, factor: float) -> NetworkSettings:
-        """The same network with all widths times `factor`, as multiples of 8 and at least 8."""
+        """The same network with all widths multiplied by `factor`, rounded to multiples of 8, at least 8."""
 
         def scale(width: int) -> int:
             return max(8, 8 * round(width * factor / 8))
@@ -107,44 +107,22 @@ class NetworkSettings:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Numbers, strings and lists of numbers, for JSON."""
-        return {
-            field.name: _lists(value) if isinstance(value := getattr(self, field.name), tuple) else value
-            for field in dataclasses.fields(self)
-        }
+        """The settings as plain JSON values."""
+        return dict(to_plain(self))
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> NetworkSettings:
-        """The inverse of `to_dict`; fields that are absent take their defaults.
+        """The inverse of `to_dict`; absent fields take their defaults.
 
         Raises:
-            MethodError: an unknown field, a value of another type, or one that no network can be built from.
+            MethodError: an unknown or retired field, a value of another type, or one that no network can be built
+                from.
         """
-        return cls(**read_fields(cls, values))
-
-
-def read_fields(settings: type[Any], values: dict[str, Any]) -> dict[str, Any]:
-    """JSON values as the arguments of a dataclass of numbers, strings and tuples.
-
-    Raises:
-        MethodError: an unknown field, or a value of another kind than the field's default.
-    """
-    known = {field.name: field.default for field in dataclasses.fields(settings)}
-    for name in values:
-        if name not in known:
-            raise MethodError(f"unknown network setting {name!r}: choose from {', '.join(known)}")
-    return {name: _like(known[name], value, name) for name, value in values.items()}
-
-
-def _lists(value: Any) -> Any:
-    return [_lists(item) for item in value] if isinstance(value, tuple) else value
-
-
-def _like(example: Any, value: Any, name: str) -> Any:
-    """`value` with lists made tuples, where it has the same kind and nesting as `example`."""
-    if isinstance(example, tuple) and isinstance(value, list | tuple):
-        return tuple(_like(example[0], item, name) for item in value)
-    if type(value) is not type(example):
-        kind = "a list" if isinstance(example, tuple) else f"of type {type(example).__name__}"
-        raise MethodError(f"network setting {name} must be {kind}, not {value!r}")
-    return value
+        for name, kept in cls.RETIRED.items():
+            if values.get(name, kept) != kept:
+                raise MethodError(
+                    f"network setting {name} is {values[name]!r}, which this version no longer implements: it needs "
+                    f"{kept!r}"
+                )
+        current = {name: value for name, value in values.items() if name not in cls.RETIRED}
+        return settings_from_plain(cls, current, what="network setting", error=MethodError)
