@@ -1,4 +1,4 @@
-"""Whatever is wrong with the input: one line on stderr, exit code 2 (1 for the disk), nothing left behind."""
+"""Bad input: one line on stderr, exit code 2 (1 for storage errors), and no files left behind."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def all_zero(pair: Path) -> None:
 
 
 def damaged(pair: Path) -> None:
-    """A PNG with a good end and zeros in the middle: the decoder itself would complain on stderr."""
+    """A PNG with zeros in the middle and a valid end, for which the decoder itself writes to stderr."""
     data = bytearray((pair / "depth1.png").read_bytes())
     data[5000:5400] = bytes(400)
     (pair / "depth1.png").write_bytes(data)
@@ -121,32 +121,32 @@ def test_an_unknown_method_lists_all_choices(capfd: pytest.CaptureFixture[str]) 
     assert all(name in line for name in registry.METHODS)
 
 
-@pytest.mark.parametrize("verb", ["estimate", "run"])
-def test_an_output_folder_with_other_content_is_left_alone(
-    verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("command", ["estimate", "run"])
+def test_an_output_folder_with_other_content_is_unchanged(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    assert main([verb, str(PAIR), "--method", "zero", "--out", str(tmp_path)]) == 2
+    assert main([command, str(PAIR), "--method", "zero", "--out", str(tmp_path)]) == 2
     check_one_line(capfd, "name another output folder")
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
-@pytest.mark.parametrize("verb", ["estimate", "run"])
+@pytest.mark.parametrize("command", ["estimate", "run"])
 @pytest.mark.parametrize("name", ["file", "file/below"])
-def test_an_output_folder_that_is_a_file(
-    verb: str, name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+def test_an_output_folder_that_is_a_file_is_refused(
+    command: str, name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
-    assert main([verb, str(PAIR), "--method", "zero", "--out", str(tmp_path / name)]) == 2
+    assert main([command, str(PAIR), "--method", "zero", "--out", str(tmp_path / name)]) == 2
     check_one_line(capfd, "is a file, not a folder")
 
 
-@pytest.mark.parametrize("verb", ["estimate", "run"])
-def test_a_disk_that_refuses(
-    verb: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("command", ["estimate", "run"])
+def test_an_unwritable_output_folder_is_reported_before_the_estimate(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Refused before the estimate, with code 1. The refusal is forced, because root may write anywhere."""
+    """The error is simulated because root can write anywhere."""
 
     def refuse(*_: Any, **__: Any) -> str:
         raise PermissionError(13, "Permission denied", str(tmp_path))
@@ -159,12 +159,12 @@ def test_a_disk_that_refuses(
 
     monkeypatch.setattr("objectflow.storage.files.tempfile.mkdtemp", refuse)
     monkeypatch.setattr("objectflow.cli.arguments.load", never)
-    assert main([verb, str(PAIR), "--out", str(tmp_path / "a" / "b")]) == 1
+    assert main([command, str(PAIR), "--out", str(tmp_path / "a" / "b")]) == 1
     check_one_line(capfd, "Permission denied")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_disk_that_fills_up_leaves_nothing(
+def test_a_full_disk_leaves_no_files(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: Any, **__: Any) -> None:
@@ -198,7 +198,7 @@ def test_bad_commands(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_our_own_mistakes_are_one_line_too(
+def test_internal_errors_are_one_line(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def broken(*_: Any, **__: Any) -> None:
@@ -212,7 +212,7 @@ def test_our_own_mistakes_are_one_line_too(
 
 
 @pytest.mark.parametrize("module", [False, True])
-def test_in_a_shell(module: bool, tmp_path: Path) -> None:
+def test_errors_in_a_shell(module: bool, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     command = (
         ["-m", "objectflow"] if module else ["-c", "import sys; from objectflow.cli import main; sys.exit(main())"]
@@ -227,8 +227,8 @@ def test_in_a_shell(module: bool, tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["empty"]
 
 
-def test_a_terminated_estimate_leaves_nothing(tmp_path: Path) -> None:
-    """The signal comes while the result is being written."""
+def test_a_terminated_estimate_leaves_no_files(tmp_path: Path) -> None:
+    """SIGTERM arrives while the result is written."""
     code = (
         "import os, signal, sys; from objectflow.cli import estimate, main; "
         "estimate.write_result = lambda *_: os.kill(os.getpid(), signal.SIGTERM); sys.exit(main())"

@@ -1,4 +1,4 @@
-"""`generate`, `check` and `show`: real scenes, small ones, through the command line."""
+"""`generate`, `check` and `show` on small generated sets."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 import interruptions
 from objectflow.cli import main
 from objectflow.dataset.shards import open_pairs, open_sequences
-from objectflow.synth.generation import generate as generating
+from objectflow.synth.generation import jobs as generation_jobs
 
 pytest.importorskip("mujoco_warp", reason="generating needs the extra [synth]")
 
@@ -33,19 +33,17 @@ def test_pairs_warp_onto_each_other(data: Path, capsys: pytest.CaptureFixture[st
     assert report["depth_mm"]["median"] < 1
 
 
-def test_two_workers_make_the_same_bytes(data: Path, tmp_path: Path) -> None:
+def test_two_workers_produce_the_same_bytes(data: Path, tmp_path: Path) -> None:
     words = ["generate", "--preset", "small", "--pairs", "3", "--workers", "2", "--split", "val"]
     assert main([*words, "--out", str(tmp_path / "two")]) == 0
     for path in sorted(data.iterdir()):
         assert (tmp_path / "two" / path.name).read_bytes() == path.read_bytes()
 
 
-def test_killed_with_its_workers_and_continued_it_makes_the_same_bytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Twice here; `python benchmarks/interruptions.py` does it ten times, and with Ray."""
+def test_a_killed_and_resumed_run_produces_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run is killed twice; `python benchmarks/interruptions.py` kills ten times, also with Ray."""
     settings = interruptions.Settings(pairs=6, rows_a_shard=2, kills=2)
-    monkeypatch.setattr(generating, "ROWS_A_SHARD", settings.rows_a_shard)
+    monkeypatch.setattr(generation_jobs, "ROWS_A_SHARD", settings.rows_a_shard)
     words = ["generate", "--preset", "small", "--samples", "1", "--pairs", "6", "--workers", "1"]
     assert main([*words, "--out", str(tmp_path / "one")]) == 0
     shards, _ = interruptions.killed(settings, tmp_path / "killed", whole=8.0)
@@ -53,7 +51,7 @@ def test_killed_with_its_workers_and_continued_it_makes_the_same_bytes(
     assert interruptions.content(tmp_path / "killed") == interruptions.content(tmp_path / "one")
 
 
-def test_views_are_siblings_and_sequences_have_eight_frames(tmp_path: Path) -> None:
+def test_views_share_their_scene_and_sequences_have_eight_frames(tmp_path: Path) -> None:
     words = ["generate", "--preset", "small", "--workers", "1", "--split", "test", "--out", str(tmp_path / "set")]
     assert main([*words, "--pairs", "2", "--views", "2", "--sequences", "1"]) == 0
     first, second = open_pairs(tmp_path / "set", "test")
@@ -62,12 +60,12 @@ def test_views_are_siblings_and_sequences_have_eight_frames(tmp_path: Path) -> N
     assert not np.array_equal(first.curr.color, second.curr.color)
     rows = list(open_sequences(tmp_path / "set", "test"))
     assert [row.frame for row in rows] == [20, 30, 40, 50, 60, 70, 80, 90]
-    # Scene 0 of the pairs and of the sequences are two scenes, and named as such.
+    # Scene 0 of the pairs and scene 0 of the sequences are different scenes with different names.
     assert {row.sequence for row in rows} == {"test-sequence-000000"}
     assert first.scene == "test-000000"
 
 
-def test_show_draws_a_row_and_names_the_keys_there_are(
+def test_show_draws_a_row_and_reports_unknown_keys(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = tmp_path / "row.png"
@@ -90,7 +88,7 @@ def test_show_draws_a_row_and_names_the_keys_there_are(
         (["--pairs", "1", "--mesh-folder", "."], "mesh"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(
+def test_errors_are_one_line_and_leave_no_files(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -101,7 +99,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_another_seed_is_refused_and_nothing_is_lost(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_seed_is_refused_and_the_set_is_unchanged(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name: path.read_bytes() for path in data.iterdir()}
     words = ["generate", "--out", str(data), "--preset", "small", "--pairs", "3", "--workers", "1", "--split", "val"]
     assert main([*words, "--seed", "7"]) == 2

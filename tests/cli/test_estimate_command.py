@@ -1,4 +1,4 @@
-"""`objectflow estimate` and `objectflow demo`: what is written and printed."""
+"""Files and output of `objectflow estimate` and `objectflow demo`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from objectflow.cli import main
-from objectflow.cli.demo import DemoTruth, flow_errors, match_object
+from objectflow.cli.demo_truth import DemoTruth, flow_errors, match_object
 from objectflow.cli.output import RESULT_FILES
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import open_pair
@@ -21,7 +21,7 @@ from objectflow.readers import open_pair
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
 
 
-def test_writes_a_whole_result_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_complete_result_folder_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "deep" / "result"
     assert main(["estimate", str(PAIR), "--method", "zero", "--out", str(out)]) == 0
     assert {path.name for path in out.iterdir()} == RESULT_FILES
@@ -38,7 +38,7 @@ def test_writes_a_whole_result_folder(tmp_path: Path, capsys: pytest.CaptureFixt
     SceneMotion.load(out)
 
 
-def test_four_files_give_what_the_folder_gives(tmp_path: Path) -> None:
+def test_four_files_give_the_same_result_as_their_folder(tmp_path: Path) -> None:
     files = [str(PAIR / name) for name in ("color0.jpg", "depth0.png", "color1.jpg", "depth1.png")]
     options = ["--intrinsics", "615", "615", "319.5", "239.5", "--depth-scale", "1000", "--camera", "static"]
     assert main(["estimate", *files, *options, "--method", "dense-flow", "--out", str(tmp_path / "a")]) == 0
@@ -67,7 +67,7 @@ def test_an_earlier_result_is_replaced(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["result"]
 
 
-def test_demo_compares_with_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_compares_with_the_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demo", "--method", "zero", "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     for name in ("tea box", "can", "ball"):
@@ -75,15 +75,15 @@ def test_demo_compares_with_the_truth(tmp_path: Path, capsys: pytest.CaptureFixt
     assert printed.count("missed") == 3
 
 
-def test_the_truth_of_the_demo_explains_its_depth() -> None:
-    """Points moved by the true motions must land on the measured surface of the previous frame."""
+def test_the_truth_of_the_demo_is_consistent_with_its_depth() -> None:
+    """Points moved by the true motions must lie on the measured surface of the previous frame."""
     prev, curr = open_pair(PAIR)
     truth = DemoTruth.read(PAIR / "truth.npz")
     v, u = np.mgrid[:480, :640]
     points = np.stack([(u - 319.5) / 615, (v - 239.5) / 615, np.ones_like(u)], -1) * curr.depth[..., None]
     for index in range(len(truth.names)):
-        mine = points[(truth.labels == index + 1) & curr.valid]
-        moved = mine @ truth.prev_T_curr[index, :3, :3].T + truth.prev_T_curr[index, :3, 3]
+        surface = points[(truth.labels == index + 1) & curr.valid]
+        moved = surface @ truth.prev_T_curr[index, :3, :3].T + truth.prev_T_curr[index, :3, 3]
         x, y = (np.rint(moved[:, a] / moved[:, 2] * 615 + c).astype(int) for a, c in ((0, 319.5), (1, 239.5)))
         measured = prev.depth[y.clip(0, 479), x.clip(0, 639)]
         assert np.median(np.abs(measured - moved[:, 2])[measured > 0]) < 0.002, truth.names[index]
@@ -104,13 +104,13 @@ def test_a_perfect_result_matches_the_demo_perfectly() -> None:
         assert match.iou == 1
         assert match.translation_mm == pytest.approx(0, abs=1e-6)
         assert match.rotation_deg == pytest.approx(0, abs=1e-4)
-    moving, still = flow_errors(truth, curr, result)
-    assert 0.02 < moving < 0.08  # the flow above is zero, so its error is the motion itself: 2 to 6 cm
-    assert still < 1e-6
+    moving, static = flow_errors(truth, curr, result)
+    assert 0.02 < moving < 0.08  # The flow above is zero, so its error is the motion itself: 2 to 6 cm.
+    assert static < 1e-6
 
 
 @pytest.mark.parametrize("words", [["methods"], ["info"], ["--help"], ["estimate", "--help"], ["run", "-h"], ["-V"]])
-def test_verbs_that_only_print(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_that_only_print(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 0
     printed = capsys.readouterr()
     assert printed.err == ""

@@ -1,4 +1,4 @@
-"""`evaluate` on the packaged set and on pair folders: its files, its second run, and one line for what is wrong."""
+"""`evaluate` on the packaged set and on pair folders: files, repeated runs and one-line errors."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from helpers import small_sets
+from helpers.pair_sets import write_part
 from objectflow.cli import main
 from objectflow.evaluation.results import Evaluation
 
@@ -29,7 +30,7 @@ def evaluate(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def make_real(folder: Path, *names: str) -> Path:
-    """Pair folders made of the demo's frames; in truth, something at the image's middle moved 1 cm."""
+    """Pair folders with the demo's frames and a made-up truth: an object at the image centre moved by 1 cm."""
     for name in names:
         shutil.copytree(DEMO, folder / name)
         size = json.loads((DEMO / "camera.json").read_text())
@@ -61,13 +62,13 @@ def test_the_packaged_set_from_a_shell(tmp_path: Path) -> None:
     assert oracle.summary.flow_masked.epe_cm.value < 0.1
     with open(out / "tables.csv", newline="") as file:
         assert {line["row"] for line in csv.DictReader(file)} >= {"zero", "oracle-motion", "PD-Flow", "HOMC"}
-    # Once more: nothing is predicted anew, and every file says the same.
+    # A second run reuses the predictions and writes the same files.
     before = small_sets.digest(out)
     assert evaluate(*words).returncode == 0
     assert small_sets.digest(out) == before
 
 
-def test_a_killed_run_is_continued(tmp_path: Path) -> None:
+def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--data", "tiny", "--methods", "dense-flow", "--out", str(out), "--no-report")
     command = [sys.executable, "-m", "objectflow", "evaluate", *words]
@@ -85,7 +86,7 @@ def test_a_killed_run_is_continued(tmp_path: Path) -> None:
     assert all(path.read_bytes() == data for path, data in made.items())
 
 
-def test_no_extra_is_needed(tmp_path: Path) -> None:
+def test_no_extra_is_required(tmp_path: Path) -> None:
     extras = ("mujoco", "mujoco_warp", "trimesh", "coacd", "ray", "pybullet", "datasets", "onnx")
     program = (
         f"import sys; sys.modules.update(dict.fromkeys({extras!r}))\n"
@@ -108,7 +109,7 @@ def test_pair_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkey
     assert [method.label for method in evaluation.methods] == ["zero", "none"]
     summary = evaluation.methods[0].summary
     assert summary is not None
-    assert summary.flow_masked.epe_cm.value == pytest.approx(1, abs=1e-4)  # zero misses all of the 1 cm
+    assert summary.flow_masked.epe_cm.value == pytest.approx(1, abs=1e-4)  # The error of `zero` is the true motion.
     assert np.isnan(evaluation.pairs[0].objects[0].rotation_deg)
 
 
@@ -138,7 +139,7 @@ def test_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
         (["--data", "set", "--methods", "zero", "zero"], "two methods are called 'zero'"),
         (["--data", "set", "--out", "file"], "file is a file, not a folder"),
         (["--data", "set", "--out", "file/below"], "is a file, not a folder"),
-        (["--data", "set", "--out", "set"], "is no earlier evaluation"),
+        (["--data", "set", "--out", "set"], "is not an earlier evaluation"),
         (["--data", "set", "--out", "done"], "predictions of another data set"),
         (["--data", "set", "--out", "done", "--camera", "static"], "predictions of another data set"),
         (["--data", "other", "--out", "done", "--camera", "static"], 'made with options = {"camera": "auto"}'),
@@ -146,13 +147,13 @@ def test_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
         ([], "data"),
     ],
 )
-def test_bad_input_is_one_line(
+def test_errors_are_one_line(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    small_sets.write_pairs(tmp_path / "set", 2)
-    small_sets.write_pairs(tmp_path / "other", 2, seed=5)
-    small_sets.write_set(tmp_path / "empty", "pairs", [])
+    small_sets.write_box_pairs(tmp_path / "set", 2)
+    small_sets.write_box_pairs(tmp_path / "other", 2, seed=5)
+    write_part(tmp_path / "empty", "pairs", [], "test")
     shutil.copytree(DEMO, tmp_path / "pair", ignore=shutil.ignore_patterns("truth.npz"))
     (tmp_path / "file").touch()
     assert main(["evaluate", "--data", "other", "--methods", "zero", "--out", "done", "--no-report"]) == 0
@@ -167,17 +168,17 @@ def test_bad_input_is_one_line(
     assert small_sets.digest(tmp_path) == before
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_may_not_be_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    small_sets.write_pairs(tmp_path / "set", 1)
+@pytest.mark.skipif(os.geteuid() == 0, reason="root can write anywhere")
+def test_a_read_only_folder_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small_sets.write_box_pairs(tmp_path / "set", 1)
     (tmp_path / "closed").mkdir(mode=0o555)
     words = ["evaluate", "--data", str(tmp_path / "set"), "--methods", "zero", "--no-report"]
     assert main([*words, "--out", str(tmp_path / "closed" / "out")]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_disk_that_refuses_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    small_sets.write_pairs(tmp_path / "set", 1)
+def test_a_write_error_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    small_sets.write_box_pairs(tmp_path / "set", 1)
     words = ["evaluate", "--data", str(tmp_path / "set"), "--methods", "zero", "--no-report"]
     assert main([*words, "--out", "/proc/evaluation"]) == 1
     error = capsys.readouterr().err
@@ -185,7 +186,7 @@ def test_a_disk_that_refuses_is_one_line(tmp_path: Path, capsys: pytest.CaptureF
     assert "cannot write" in error
 
 
-def test_a_set_on_which_everything_fails(
+def test_an_evaluation_without_any_result_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from objectflow.methods.baselines.zero import Zero
@@ -194,7 +195,7 @@ def test_a_set_on_which_everything_fails(
         raise RuntimeError("broken")
 
     monkeypatch.setattr(Zero, "__call__", fail)
-    small_sets.write_pairs(tmp_path / "set", 2)
+    small_sets.write_box_pairs(tmp_path / "set", 2)
     words = ["evaluate", "--data", str(tmp_path / "set"), "--methods", "zero", "--no-report"]
     assert main([*words, "--out", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err

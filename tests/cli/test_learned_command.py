@@ -1,4 +1,4 @@
-"""`--method sceneflownet-...` and its options on the command line."""
+"""Learned methods and their options on the command line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_estimate_with_weights(tmp_path: Path, rigid: str) -> None:
     assert (motion.method, motion.labels.shape) == ("sceneflownet-c-vl", (480, 640))
 
 
-def test_without_weights_one_line_says_how_to_get_some(
+def test_the_error_for_missing_weights_names_the_remedy(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv(find_weights.HUB_VARIABLE, raising=False)
@@ -41,7 +41,7 @@ def test_without_weights_one_line_says_how_to_get_some(
     assert not list(tmp_path.iterdir())
 
 
-def test_another_methods_option_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_option_of_another_method_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["estimate", str(PAIR), "--method", "zero", "--rigid", "none", "--out", str(tmp_path / "o")]) == 2
     assert "method 'zero' has no option 'rigid': it has camera" in capfd.readouterr().err
 
@@ -60,7 +60,7 @@ def test_a_run_is_not_continued_with_other_weights(tmp_path: Path, capfd: pytest
     assert "was made with weights_sha256" in capfd.readouterr().err
 
 
-def test_info_and_methods_tell_of_them(
+def test_info_and_methods_list_the_networks(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save_all(tmp_path)
@@ -70,7 +70,7 @@ def test_info_and_methods_tell_of_them(
     assert main(["info"]) == 0
     out = capfd.readouterr().out
     assert "sceneflownet-c-vl (" in out
-    assert "frames brought to 160x120" in out
+    assert "frames resized to 160x120" in out
     assert "broken (damaged" in out
     assert main(["methods"]) == 0
     listed = capfd.readouterr().out

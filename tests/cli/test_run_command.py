@@ -1,4 +1,4 @@
-"""`objectflow run`: every pair of a sequence, continued where it stopped."""
+"""`objectflow run`: all pairs of a sequence, resumed after an interruption."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
 
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
-    """Five small frames of noise on a wall that comes nearer."""
+    """Five small frames of random colours on an approaching wall."""
     rng = np.random.default_rng(3)
     folder = tmp_path / "sequence"
     (folder / "color").mkdir(parents=True)
@@ -38,7 +38,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
-def test_one_result_folder_a_pair(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_pair_has_a_result_folder(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
     pairs = {f"pair_{i:06d}_{i + 1:06d}" for i in range(4)}
@@ -49,21 +49,21 @@ def test_one_result_folder_a_pair(sequence: Path, tmp_path: Path, capsys: pytest
     assert "4 pairs; something moved in 0" in capsys.readouterr().out
 
 
-def test_every_takes_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
+def test_every_selects_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--every", "2", "--out", str(out)]) == 0
     assert {"pair_000000_000002", "pair_000002_000004"} < names(out)
     assert len(names(out)) == 6
 
 
-def test_finished_pairs_are_kept_and_the_rest_is_done(
+def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
     sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
     assert main(command) == 0
     shutil.rmtree(out / "pair_000002_000003")
-    (out / ".pair_000002_000003.abc.tmp").mkdir()  # what a killed run leaves
+    (out / ".pair_000002_000003.abc.tmp").mkdir()  # Leftover of a killed run.
     kept = (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns
     capsys.readouterr()
     assert main(command) == 0
@@ -94,7 +94,7 @@ def test_other_settings_are_refused(
     assert sorted(out.rglob("*")) == before
 
 
-def test_an_interrupt_is_130_and_keeps_what_is_done(
+def test_an_interrupt_exits_with_130_and_keeps_finished_pairs(
     sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from objectflow.cli import run as module
@@ -120,7 +120,7 @@ def test_an_interrupt_is_130_and_keeps_what_is_done(
     assert len(names(out)) == 8
 
 
-def test_a_bad_first_frame_leaves_nothing(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bad_first_frame_leaves_no_files(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (sequence / "depth" / "1.png").write_text("no picture")
     assert main(["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "out")]) == 2
     assert "1.png" in capsys.readouterr().err
@@ -140,19 +140,19 @@ def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("every", ["0", "5"])
-def test_a_step_without_pairs(sequence: Path, every: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_step_without_pairs_is_refused(sequence: Path, every: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(sequence), "--method", "zero", "--every", every]) == 2
     assert "every" in capsys.readouterr().err
 
 
-def test_objects_are_followed_into_trajectories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_trajectories_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(PAIR), "--out", str(tmp_path / "out")]) == 0
     assert "3 objects followed" in capsys.readouterr().out
     tracks = json.loads((tmp_path / "out" / "tracks.json").read_text())["tracks"]
     objects = json.loads((tmp_path / "out" / "pair_000000_000001" / "objects.json").read_text())["objects"]
     for track, obj in zip(tracks, objects, strict=True):
         first, last = (np.array(pose) for pose in track["world_T_object"])
-        # The world is the first frame's camera, which stood still: the step is the object's motion, backwards.
+        # The camera is static, so the inverse of the step is the object's motion.
         np.testing.assert_allclose(first @ np.linalg.inv(last), np.array(obj["prev_T_curr"]), atol=1e-9)
         lines = np.loadtxt(tmp_path / "out" / "trajectories" / f"object_{track['id']:03d}.txt")
         np.testing.assert_allclose(lines[:, 1:4], [first[:3, 3], last[:3, 3]], atol=1e-6)

@@ -1,4 +1,4 @@
-"""`objectflow train`: from the command line to weights, stopped, continued; and every mistake in one line."""
+"""`objectflow train`: training, interruption, resumption and one-line errors."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from objectflow.networks.weights import save_weights
 
 TINY = [
     "--size", "24", "32", "--batch-size", "4", "--steps", "4", "--validate-every", "2", "--validation-pairs", "4",
-    "--network.trunk-width", "8", "--network.trunk-blocks", "1", "1", "--network.color-channels", "8",
-    "--network.reach", "2", "--device", "cpu",
+    "--model.network.trunk-width", "8", "--model.network.trunk-blocks", "1", "1",
+    "--model.network.color-channels", "8", "--model.network.reach", "2", "--device", "cpu",
 ]  # fmt: skip
 
 
@@ -34,33 +34,35 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_set(tmp_path_factory.mktemp("set"))
 
 
-def complaint(capsys: pytest.CaptureFixture[str], *words: str) -> str:
-    """The one line in which the command refuses."""
+def error_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The error of a refused command, which must be one line."""
     capsys.readouterr()
     code = cli.main(["train", *words])
-    said = capsys.readouterr().err
-    assert code == 2, said
-    assert said.count("\n") == 1
-    return said.removeprefix("objectflow: ")
+    error = capsys.readouterr().err
+    assert code == 2, error
+    assert error.count("\n") == 1
+    return error.removeprefix("objectflow: ")
 
 
-def test_trains_and_names_the_weights(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_training_prints_the_path_of_the_weights(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "runs" / "tiny"
     assert cli.main(["train", "--data", str(data), "--out", str(out), *TINY]) == 0
-    said = capsys.readouterr().out
-    assert "step 2: 4 validation pairs: loss " in said
-    assert said.splitlines()[-1].startswith("4 steps, ")
-    assert said.splitlines()[-1].endswith(f"weights: {out / 'weights.safetensors'}")
+    printed = capsys.readouterr().out
+    assert "step 2: 4 validation pairs: loss " in printed
+    assert printed.splitlines()[-1].startswith("4 steps, ")
+    assert printed.splitlines()[-1].endswith(f"weights: {out / 'weights.safetensors'}")
     settings = json.loads((out / "settings.json").read_text())
     assert (settings["recipe_name"], settings["recipe"]["size"]) == ("cpu", [24, 32])
     assert sorted(path.name for path in out.iterdir() if path.is_file()) == [
         "loss_curve.png", "metrics.jsonl", "settings.json", "weights.safetensors",
     ]  # fmt: skip
-    assert "add --resume" in complaint(capsys, "--data", str(data), "--out", str(out), *TINY)
+    assert "add --resume" in error_line(capsys, "--data", str(data), "--out", str(out), *TINY)
     assert cli.main(["train", "--data", str(data), "--out", str(out), *TINY, "--resume"]) == 0
 
 
-def test_stopped_by_a_signal_it_says_how_to_go_on(data: Path, tmp_path: Path) -> None:
+def test_a_run_stopped_by_a_signal_prints_how_to_resume(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     words = ["train", "--data", str(data), "--out", str(out), *TINY, "--steps", "100000", "--log-every", "1"]
     process = subprocess.Popen(
@@ -73,26 +75,26 @@ def test_stopped_by_a_signal_it_says_how_to_go_on(data: Path, tmp_path: Path) ->
         assert time.monotonic() < deadline
         time.sleep(0.02)
     process.send_signal(signal.SIGTERM)
-    said, errors = process.communicate(timeout=60)
+    printed, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (128 + signal.SIGTERM, "")
-    last = said.splitlines()[-1]
+    last = printed.splitlines()[-1]
     assert last.startswith("stopped after step ")
-    assert last.endswith(f"go on with: objectflow {' '.join(words)} --resume")
+    assert last.endswith(f"continue with: objectflow {' '.join(words)} --resume")
     step = int(last.removeprefix("stopped after step ").split(";")[0])
     assert [path.name for path in (out / "checkpoints").iterdir()] == [f"step-{step:08d}"]
 
 
-def test_help_shows_the_recipes_own_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_the_defaults_of_the_recipe(capsys: pytest.CaptureFixture[str]) -> None:
     for name, number in (("paper", "0.0001"), ("cpu", "0.001")):
         assert cli.main(["train", "--recipe", name, "--help"]) == 0
-        said = capsys.readouterr().out
-        assert said.startswith("Examples:\n  objectflow train --recipe")
-        assert re.search(rf"learning-rate[^-]*\(default:[\s│]+{number}\)", said)
+        printed = capsys.readouterr().out
+        assert printed.startswith("Examples:\n  objectflow train --recipe")
+        assert re.search(rf"learning-rate[^-]*\(default:[\s│]+{number}\)", printed)
 
 
-def test_data_that_cannot_be_trained_on(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unusable_data_is_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(folder: Path) -> str:
-        return complaint(capsys, "--data", str(folder), "--out", str(tmp_path / "run"), *TINY)
+        return error_line(capsys, "--data", str(folder), "--out", str(tmp_path / "run"), *TINY)
 
     assert "no such folder" in refused(tmp_path / "missing")
     (tmp_path / "empty").mkdir()
@@ -102,7 +104,7 @@ def test_data_that_cannot_be_trained_on(data: Path, tmp_path: Path, capsys: pyte
     bytes_ = bytearray(shard.read_bytes())
     bytes_[len(bytes_) // 2] ^= 1
     shard.write_bytes(bytes_)
-    assert f"{shard}: its hash is not the one in manifest.json" in refused(wrong)
+    assert f"{shard}: its hash differs from that in manifest.json" in refused(wrong)
     write_pairs(tmp_path / "nothing", [without_objects(random_pair(0, objects=1))])
     assert "split 'train': no object in any row" in refused(tmp_path / "nothing")
     only = write_set(tmp_path / "only")
@@ -112,9 +114,9 @@ def test_data_that_cannot_be_trained_on(data: Path, tmp_path: Path, capsys: pyte
     assert not (tmp_path / "run").exists()
 
 
-def test_options_that_do_not_fit(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_invalid_options_are_refused(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     def refused(*words: str) -> str:
-        return complaint(capsys, "--data", str(data), "--out", str(tmp_path / "run"), *TINY, *words)
+        return error_line(capsys, "--data", str(data), "--out", str(tmp_path / "run"), *TINY, *words)
 
     other = tmp_path / "other.safetensors"
     save_weights(other, SceneFlowNet(dataclasses.replace(NETWORK, reach=3)), {})
@@ -129,7 +131,7 @@ def test_options_that_do_not_fit(data: Path, tmp_path: Path, capsys: pytest.Capt
         assert "no CUDA device" in refused("--device", "cuda")
     assert "unknown recipe 'tpu': choose one of paper, gpu, cpu" in refused("--recipe", "tpu")
     assert "recipe field batch_size must be at least 1" in refused("--batch-size", "0")
-    assert "trunk_blocks" in refused("--network.trunk-blocks", "0", "1")
+    assert "trunk_blocks" in refused("--model.network.trunk-blocks", "0", "1")
     (tmp_path / "file").write_text("")
     assert "is a file" in refused("--out", str(tmp_path / "file"))
     assert not (tmp_path / "run").exists()

@@ -1,4 +1,4 @@
-"""`objectflow view` and `--save-view`: results, runs and data sets as .rrd files; one line for bad input."""
+"""`objectflow view` and `--save-view`: results, runs and data sets as .rrd files; one-line errors."""
 
 from __future__ import annotations
 
@@ -25,15 +25,20 @@ TINY = ROOT / "evaluation" / "tiny"
 def frames_of(path: Path, entity: str = "/world/camera/color") -> list[int]:
     """The frame numbers at which a recording has an entity."""
     numbers: set[int] = set()
-    for one in chunk.RrdReader(str(path)).stream():
-        if one.entity_path == entity:
-            numbers |= set(one.to_record_batch().column("frame").to_pylist())
+    for part in chunk.RrdReader(str(path)).stream():
+        if part.entity_path == entity:
+            numbers |= set(part.to_record_batch().column("frame").to_pylist())
     return sorted(numbers)
+
+
+def entities_of(path: Path) -> set[str]:
+    """The entities of a recording."""
+    return {part.entity_path for part in chunk.RrdReader(str(path)).stream()}
 
 
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
-    """Three small frames of a wall."""
+    """A sequence of three small frames of a wall."""
     rng = np.random.default_rng(3)
     folder = tmp_path / "sequence"
     for name in ("color", "depth"):
@@ -46,12 +51,12 @@ def sequence(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_run_is_saved_as_it_goes_and_viewed_again(sequence: Path, tmp_path: Path) -> None:
+def test_a_run_is_recorded_while_running_and_viewed_afterwards(sequence: Path, tmp_path: Path) -> None:
     out, while_running, later = tmp_path / "out", tmp_path / "a.rrd", tmp_path / "b.rrd"
     command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
     assert main([*command, "--save-view", str(while_running)]) == 0
     assert frames_of(while_running) == [0, 1, 2]
-    assert main([*command, "--save-view", str(later)]) == 0  # all of it done before
+    assert main([*command, "--save-view", str(later)]) == 0  # All pairs are finished.
     assert frames_of(later) == [0, 1, 2]
     assert main(["view", str(out), "--save", str(later)]) == 0
     assert frames_of(later) == [0, 1, 2]
@@ -59,7 +64,7 @@ def test_a_run_is_saved_as_it_goes_and_viewed_again(sequence: Path, tmp_path: Pa
     assert frames_of(later) == [1, 2]
 
 
-def test_a_moved_source_is_named_and_can_be_given(
+def test_a_moved_source_is_reported_and_can_be_given(
     sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, saved = tmp_path / "out", tmp_path / "a.rrd"
@@ -90,13 +95,12 @@ def test_a_data_set_shows_its_truth(tmp_path: Path, capsys: pytest.CaptureFixtur
     saved = tmp_path / "a.rrd"
     assert main(["view", str(TINY), "--save", str(saved)]) == 0
     assert frames_of(saved) == [0, 1]
-    entities = {one.entity_path for one in chunk.RrdReader(str(saved)).stream()}
-    assert any(path.startswith("/world/objects/") for path in entities)
+    assert any(path.startswith("/world/objects/") for path in entities_of(saved))
     assert main(["view", str(TINY), "--key", "nothing", "--save", str(saved)]) == 2
     assert "no row 'nothing'" in capsys.readouterr().err
 
 
-def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken" / "settings.json").write_text("[]")
@@ -113,51 +117,51 @@ def test_bad_input_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert error.count("\n") == 1
 
 
-EVERYTHING = {
+DEMO_ENTITIES = {
     *(f"/world/camera{part}" for part in ("", "/color", "/depth", "/labels")),
     *("/world/points/by_object", "/world/points/by_flow", "/world/motion", "/world/captions"),
     *(f"/world/objects/00{number}" for number in (1, 2, 3)),
 }
-"""What a recording of the demo's pair holds: three things move in it."""
+"""Entities of a recording of the demo pair, in which three objects move."""
 
 
-@pytest.mark.parametrize("verb", ["estimate", "run", "live"])
-def test_what_is_found_is_saved_while_it_is_found(verb: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["estimate", "run", "live"])
+def test_results_are_recorded_by_save_view(command: str, tmp_path: Path) -> None:
     saved = tmp_path / "a.rrd"
-    gap = ["--min-gap", "0"] if verb == "live" else []
-    assert main([verb, str(PAIR), "--out", str(tmp_path / "out"), "--save-view", str(saved), *gap]) == 0
-    assert {one.entity_path for one in chunk.RrdReader(str(saved)).stream()} >= EVERYTHING
+    gap = ["--min-gap", "0"] if command == "live" else []
+    assert main([command, str(PAIR), "--out", str(tmp_path / "out"), "--save-view", str(saved), *gap]) == 0
+    assert entities_of(saved) >= DEMO_ENTITIES
     assert frames_of(saved) == [0, 1]
     assert frames_of(saved, "/world/objects/003") == [0, 1]
 
 
-@pytest.mark.parametrize("verb", ["estimate", "run", "live"])
-def test_view_opens_a_window_and_without_it_nothing_is_opened(
-    verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[dict[str, object]] = []
+@pytest.mark.parametrize("command", ["estimate", "run", "live"])
+def test_a_window_opens_only_with_view(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    requested: list[dict[str, object]] = []
     shown: list[ViewerFrame] = []
 
     class Window(NoViewer):
         def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
             shown.extend(make())
 
-    def remember(title: str, **options: object) -> NoViewer:
-        asked.append({"title": title, **options})
-        off = open_viewer(title, window=False)
-        assert isinstance(off, NoViewer)
-        return Window() if options["window"] else off
+    def open_fake(title: str, **options: object) -> NoViewer:
+        requested.append({"title": title, **options})
+        null_viewer = open_viewer(title, window=False)
+        assert isinstance(null_viewer, NoViewer)
+        return Window() if options["window"] else null_viewer
 
-    monkeypatch.setattr("objectflow.cli.arguments.open_viewer", remember)
-    command = [verb, str(PAIR), "--method", "zero", *(["--min-gap", "0"] if verb == "live" else [])]
-    assert main([*command, "--out", str(tmp_path / "off")]) == 0
+    monkeypatch.setattr("objectflow.cli.arguments.open_viewer", open_fake)
+    words = [command, str(PAIR), "--method", "zero", *(["--min-gap", "0"] if command == "live" else [])]
+    assert main([*words, "--out", str(tmp_path / "off")]) == 0
     assert shown == []
-    assert main([*command, "--out", str(tmp_path / "on"), "--view"]) == 0
-    assert [moment.number for moment in shown] == [0, 1]
-    assert asked == [{"title": "pair", "window": window, "save": None} for window in (False, True)]
+    assert main([*words, "--out", str(tmp_path / "on"), "--view"]) == 0
+    assert [frame.number for frame in shown] == [0, 1]
+    assert requested == [{"title": "pair", "window": window, "save": None} for window in (False, True)]
 
 
-def test_no_display_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_error_for_a_missing_display_names_the_alternatives(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("sys.platform", "linux")

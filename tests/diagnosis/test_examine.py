@@ -1,10 +1,11 @@
-"""Mistakes made on purpose in frames that are right, and whether they are named."""
+"""`examine` on correct pairs and on pairs with deliberate input errors."""
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -29,12 +30,12 @@ def suspicious(prev: RgbdFrame, curr: RgbdFrame) -> set[str]:
 
 
 @pytest.mark.parametrize("seed", [3, 5, 17, 23])
-def test_nothing_is_wrong_with_a_right_pair(seed: int) -> None:
+def test_a_correct_pair_has_no_suspicious_finding(seed: int) -> None:
     scene = pair(seed)
     assert suspicious(scene.prev, scene.curr) == set()
 
 
-def test_a_wrong_depth_scale_is_named() -> None:
+def test_a_wrong_depth_scale_is_found() -> None:
     scene = pair()
     for factor in (0.1, 10.0):
         frames = [dataclasses.replace(f, depth=f.depth * np.float32(factor)) for f in (scene.prev, scene.curr)]
@@ -42,7 +43,7 @@ def test_a_wrong_depth_scale_is_named() -> None:
 
 
 @pytest.mark.parametrize("shift", [(6, 0), (-5, 3), (0, 7)])
-def test_depth_that_is_not_registered_is_named_and_its_shift_measured(shift: tuple[int, int]) -> None:
+def test_unregistered_depth_is_found_and_its_offset_measured(shift: tuple[int, int]) -> None:
     scene = pair()
     du, dv = shift
     frames = [dataclasses.replace(f, depth=np.roll(f.depth, (-dv, -du), (0, 1))) for f in (scene.prev, scene.curr)]
@@ -53,7 +54,7 @@ def test_depth_that_is_not_registered_is_named_and_its_shift_measured(shift: tup
     assert abs(offset.dv - dv) <= 1
 
 
-def test_ray_length_instead_of_planar_depth_is_named() -> None:
+def test_ray_length_instead_of_planar_depth_is_found() -> None:
     scene = pair()
     camera = scene.curr.camera
     v, u = np.mgrid[0 : camera.height, 0 : camera.width]
@@ -62,7 +63,7 @@ def test_ray_length_instead_of_planar_depth_is_named() -> None:
     assert "ray length" in suspicious(*frames)
 
 
-def test_holes_and_coarse_depth_are_named() -> None:
+def test_holes_and_coarse_depth_are_found() -> None:
     scene = pair()
     holes = np.random.default_rng(0).random(scene.curr.depth.shape) < 0.5
     holed = dataclasses.replace(scene.curr, depth=np.where(holes, 0, scene.curr.depth).astype(np.float32))
@@ -71,21 +72,21 @@ def test_holes_and_coarse_depth_are_named() -> None:
     assert "depth steps" in suspicious(scene.prev, coarse)
 
 
-def test_identical_frames_and_frames_of_one_depth_are_named() -> None:
+def test_identical_frames_and_identical_depth_are_found() -> None:
     scene = pair()
     assert "two frames" in suspicious(scene.curr, scene.curr)
     assert "two frames" in suspicious(dataclasses.replace(scene.prev, depth=scene.curr.depth), scene.curr)
 
 
-def test_colour_with_the_other_frames_depth_is_named() -> None:
+def test_swapped_depth_is_found() -> None:
     scene = analytic.make_scene(17, objects=(4, 6), motion=(0.05, 0.08))
     prev = dataclasses.replace(scene.prev, depth=scene.curr.depth)
     curr = dataclasses.replace(scene.curr, depth=scene.prev.depth)
-    assert "crossed" in suspicious(prev, curr)
-    assert "crossed" not in suspicious(scene.prev, scene.curr)
+    assert "swapped" in suspicious(prev, curr)
+    assert "swapped" not in suspicious(scene.prev, scene.curr)
 
 
-def test_exposure_and_the_camera_are_named() -> None:
+def test_changed_exposure_and_wrong_intrinsics_are_found() -> None:
     scene = pair()
     dark = dataclasses.replace(scene.curr, color=(scene.curr.color * 0.5).astype(np.uint8))
     assert "exposure" in suspicious(scene.prev, dark)
@@ -94,25 +95,25 @@ def test_exposure_and_the_camera_are_named() -> None:
     assert "camera" in suspicious(*frames)
 
 
-def test_a_moving_camera_and_a_still_scene_are_noted() -> None:
+def test_a_moving_camera_and_a_static_scene_are_noted() -> None:
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_euler("y", 3, degrees=True).as_matrix()
     moved = analytic.make_scene(3, camera_motion=motion)
     notes = {f.check: f.text for f in examine(moved.prev, moved.curr) if f.level == "note"}
     assert "3.0 degrees" in notes["camera motion"]
-    # Noise, or the frames would be one and the same image.
-    still = analytic.make_scene(9, moving_share=0.0, depth_noise=0.001)
-    curr = dataclasses.replace(still.curr, color=np.clip(still.curr.color.astype(int) + 1, 0, 255).astype(np.uint8))
-    notes = {f.check: f.text for f in examine(still.prev, curr) if f.level == "note"}
+    # Depth noise and a change of intensity keep the frames from being identical.
+    static = analytic.make_scene(9, moving_share=0.0, depth_noise=0.001)
+    curr = dataclasses.replace(static.curr, color=np.clip(static.curr.color.astype(int) + 1, 0, 255).astype(np.uint8))
+    notes = {f.check: f.text for f in examine(static.prev, curr) if f.level == "note"}
     assert "nothing moved" in notes["amount of motion"]
 
 
-def test_two_views_of_different_things_are_too_far_apart() -> None:
+def test_frames_of_different_scenes_are_suspicious() -> None:
     a, b = analytic.make_scene(3), analytic.make_scene(44)
     assert "amount of motion" in suspicious(a.prev, b.curr)
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data beside the checkout: real pairs are not tried")
+@pytest.mark.skipif(not DATA.is_dir(), reason="no ../shared/data beside the checkout: real pairs are not tested")
 def test_real_pairs() -> None:
     expected = {"boxes_1": {"registration"}, "bin_1": set(), "robot": set(), "person_standing": set()}
     for name, checks in expected.items():
@@ -120,14 +121,12 @@ def test_real_pairs() -> None:
         assert suspicious(frames[0], frames[1]) == checks, name
 
 
-def test_the_verb_prints_every_check(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_command_prints_every_check(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     scene = pair()
     with (tmp_path / "camera.json").open("w") as file:
         file.write(
             '{"width": 320, "height": 240, "fx": 236.46, "fy": 236.46, "cx": 159.5, "cy": 119.5, "depth_scale": 10000}'
         )
-    import cv2
-
     for number, frame in enumerate((scene.prev, scene.curr)):
         cv2.imwrite(str(tmp_path / f"color{number}.png"), frame.color[..., ::-1])
         cv2.imwrite(str(tmp_path / f"depth{number}.png"), np.rint(frame.depth * 10000).astype(np.uint16))

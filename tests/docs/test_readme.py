@@ -1,4 +1,4 @@
-"""What the README tells people to type must exist, and be what the check script runs."""
+"""Commands and code of the README exist, run, and agree with the check script."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 import objectflow
 from helpers.paths import ROOT
-from objectflow.cli import VERBS
+from objectflow.cli import COMMANDS
 from objectflow.readers import open_pair
 
 README = (ROOT / "README.md").read_text()
@@ -21,20 +21,20 @@ def blocks(language: str) -> list[str]:
 
 
 def test_every_command_of_the_readme_exists() -> None:
-    verbs = re.findall(r"(?:^|&& |`)objectflow ([a-z]+)", README, flags=re.MULTILINE)
-    assert len(verbs) > 5
-    assert set(verbs) <= set(VERBS)
+    commands = re.findall(r"(?:^|&& |`)objectflow ([a-z]+)", README, flags=re.MULTILINE)
+    assert len(commands) > 5
+    assert set(commands) <= set(COMMANDS)
 
 
 def test_the_check_script_runs_the_two_set_up_commands() -> None:
     script = (ROOT / ".ci" / "run").read_text().replace(" --quiet", "")
     for block in blocks("bash")[:2]:
-        for command in block.strip().split(" && ")[2:]:  # after making and entering the environment
+        for command in block.strip().split(" && ")[2:]:  # Without the lines that create and activate the environment.
             assert f"\n{command}" in script, command
 
 
 def test_the_python_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As printed, with `zero` in place of the slower method and the demo pair as its files."""
+    """The block runs as printed, except for `zero` instead of the slower method, on the demo pair."""
     frames = open_pair(Path(objectflow.__file__).parent / "demo" / "pair")
     for index, frame in enumerate(frames.paths):
         (tmp_path / f"color{index}.png").write_bytes(frame.color.read_bytes())

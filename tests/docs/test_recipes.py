@@ -1,4 +1,4 @@
-"""Every recipe of docs/recipes.md runs as printed, section by section, and does what it says."""
+"""Every recipe of docs/recipes.md runs as printed and gives the result that it describes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE.read_text(), fla
 
 
 def run(title: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """The names that a section's Python blocks leave behind, run in a folder of its own."""
+    """Run the blocks of a section in a folder; return the global names of its Python blocks."""
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {}
     for language, code in re.findall(r"```(\w+)\n(.*?)```", SECTIONS[title], flags=re.DOTALL):
@@ -42,7 +42,7 @@ def true_label(name: str) -> np.ndarray[Any, np.dtype[np.bool_]]:
         return np.asarray(truth["labels1"] == 1 + truth["names"].tolist().index(name))
 
 
-def test_the_page_has_five_recipes_and_no_block_that_is_not_run() -> None:
+def test_the_page_has_five_recipes_whose_blocks_all_run() -> None:
     assert len(SECTIONS) == 5
     assert set(re.findall(r"^```(\w+)", PAGE.read_text(), flags=re.MULTILINE)) == {"python", "bash"}
 
@@ -53,32 +53,32 @@ def test_a_pair_from_arrays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert np.array_equal(objectflow.SceneMotion.load(tmp_path / "result").labels, motion.labels)
 
 
-def test_the_grasp_is_on_an_object_that_moved_and_no_wider_than_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_grasp_is_on_a_moving_object_and_not_wider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("A mask for grasping", tmp_path, monkeypatch)
     u, v = np.rint(geometry.project(names["grasp_point"], names["curr"].camera)).astype(int)
-    things = {name: true_label(name) for name in ("tea box", "can", "ball")}
-    (hit,) = [name for name, mask in things.items() if mask[v, u]]
-    # As wide as what is seen of the thing, less the eroded rim.
+    masks = {name: true_label(name) for name in ("tea box", "can", "ball")}
+    (grasped,) = [name for name, mask in masks.items() if mask[v, u]]
+    # The width is that of the visible surface without the eroded rim.
     curr = names["curr"]
-    seen = geometry.back_project(curr.depth, curr.camera)[things[hit] & curr.valid]
-    assert 0.7 < names["width"] / np.ptp(seen @ names["closing"]) < 1.02
+    surface = geometry.back_project(curr.depth, curr.camera)[masks[grasped] & curr.valid]
+    assert 0.7 < names["width"] / np.ptp(surface @ names["closing"]) < 1.02
     saved = cv2.imread(str(tmp_path / "mask.png"), cv2.IMREAD_UNCHANGED) > 0
-    assert (saved & things[hit]).sum() > 0.8 * (saved | things[hit]).sum()
+    assert (saved & masks[grasped]).sum() > 0.8 * (saved | masks[grasped]).sum()
 
 
 def test_points_of_one_object_agree_with_the_true_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = run("Points of one object in both frames", tmp_path, monkeypatch)
     with np.load(str(resources.files("objectflow") / "demo" / "pair" / "truth.npz")) as truth:
-        off = [np.median(np.linalg.norm(names["before"] - geometry.transform(T, names["now"]), axis=1))
-               for T in truth["prev_T_curr"][truth["moving"]]]  # fmt: skip
-    assert min(off) < 0.002
+        errors = [np.median(np.linalg.norm(names["before"] - geometry.transform(T, names["now"]), axis=1))
+                  for T in truth["prev_T_curr"][truth["moving"]]]  # fmt: skip
+    assert min(errors) < 0.002
     assert names["pixels_before"].shape == (len(names["now"]), 2)
     assert np.allclose(geometry.transform(names["curr_T_prev"], names["before"]), names["now"], atol=1e-6)
 
 
-def test_a_loop_over_a_camera_leaves_a_trajectory_an_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_over_a_camera_writes_one_trajectory_per_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     names = run("A loop over a camera", tmp_path, monkeypatch)
     tracks = json.loads((tmp_path / "tracks.json").read_text())["tracks"]
     assert [track["times"] for track in tracks] == [[0.0, 0.5]] * 3

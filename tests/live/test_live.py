@@ -1,4 +1,4 @@
-"""Live following: a slow method gets the newest frame, recordings play at their speed, sources stop cleanly."""
+"""Live tracking: slow methods get the newest frame, recordings play in real time, sources stop cleanly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.live import NewestFrame, follow, replay
-from objectflow.motion import SceneMotion
+from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import FramePaths, FrameSequence
 from objectflow.tracking.tracker import Tracker, TrackerSettings
 
@@ -30,23 +30,20 @@ def frame(number: int, period: float = 0.1) -> RgbdFrame:
     )
 
 
-class Nothing:
-    """An estimator that finds nothing, and remembers which frames it was shown."""
+class RecordingEstimator:
+    """An estimator that finds no objects and records the times of the frames that it receives."""
 
-    def __init__(self, wait: threading.Event | None = None) -> None:
-        self.shown: list[tuple[float | None, float | None]] = []
-        self.wait = wait
+    def __init__(self) -> None:
+        self.times: list[tuple[float | None, float | None]] = []
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        self.shown.append((prev.timestamp, curr.timestamp))
-        if self.wait is not None:
-            self.wait.wait(5)
+        self.times.append((prev.timestamp, curr.timestamp))
         shape = curr.depth.shape
         return SceneMotion(np.zeros(shape, np.int32), np.zeros((*shape, 3), np.float32))
 
 
-def test_a_method_that_is_too_slow_gets_the_newest_frame_and_the_rest_is_dropped() -> None:
-    first, rest, given = threading.Event(), threading.Event(), threading.Event()
+def test_a_slow_method_gets_the_newest_frame_and_the_others_are_dropped() -> None:
+    first, rest, finished = threading.Event(), threading.Event(), threading.Event()
 
     def source() -> Iterator[RgbdFrame]:
         yield frame(0)
@@ -55,26 +52,26 @@ def test_a_method_that_is_too_slow_gets_the_newest_frame_and_the_rest_is_dropped
         rest.wait(5)
         for number in range(2, 50):
             yield frame(number)
-        given.set()
+        finished.set()
 
-    estimator = Nothing()
-    with NewestFrame(source()) as latest:
-        steps = follow(latest, estimator, Tracker())
-        # The first frame is taken before the second comes.
+    estimator = RecordingEstimator()
+    with NewestFrame(source()) as newest:
+        steps = follow(newest, estimator, Tracker())
+        # The first frame must be taken before the second arrives.
         threading.Timer(0.05, first.set).start()
         step = next(steps)
         assert (step.times, step.dropped) == ((0.0, pytest.approx(0.1)), 0)
         rest.set()
-        assert given.wait(5)
+        assert finished.wait(5)
         step = next(steps)
         assert step.times == (pytest.approx(0.1), pytest.approx(4.9))
         assert step.dropped == 47
         with pytest.raises(StopIteration):
             next(steps)
-    assert len(estimator.shown) == 2
+    assert len(estimator.times) == 2
 
 
-def test_frames_that_are_too_close_in_time_are_not_compared() -> None:
+def test_frames_closer_in_time_than_the_minimum_gap_are_not_paired() -> None:
     taken = threading.Semaphore(0)
 
     def source() -> Iterator[RgbdFrame]:
@@ -82,42 +79,42 @@ def test_frames_that_are_too_close_in_time_are_not_compared() -> None:
             yield frame(number)
             taken.acquire(timeout=0.2)
 
-    estimator = Nothing()
-    with NewestFrame(source()) as latest:
-        for _ in follow(latest, estimator, Tracker(), min_gap=0.35):
+    estimator = RecordingEstimator()
+    with NewestFrame(source()) as newest:
+        for _ in follow(newest, estimator, Tracker(), min_gap=0.35):
             taken.release()
-    assert all(b - a >= 0.35 for a, b in estimator.shown if a is not None and b is not None)
-    assert len(estimator.shown) >= 1
+    assert all(b - a >= 0.35 for a, b in estimator.times if a is not None and b is not None)
+    assert len(estimator.times) >= 1
 
 
-def test_a_recording_that_starts_again_starts_anew() -> None:
+def test_no_pair_spans_the_restart_of_a_recording() -> None:
     times = [0.0, 1.0, 0.0, 1.0]
-    turn = threading.Semaphore(0)
+    taken = threading.Semaphore(0)
 
     def source() -> Iterator[RgbdFrame]:
         for number, seconds in enumerate(times):
             yield RgbdFrame(
                 np.full((12, 16, 3), number, np.uint8), np.ones((12, 16), np.float32), CAMERA, timestamp=seconds
             )
-            turn.acquire(timeout=0.2)
+            taken.acquire(timeout=0.2)
 
-    estimator = Nothing()
-    with NewestFrame(source()) as latest:
-        for _ in follow(latest, estimator, Tracker()):
-            turn.release()
-    assert estimator.shown == [(0.0, 1.0), (0.0, 1.0)]
+    estimator = RecordingEstimator()
+    with NewestFrame(source()) as newest:
+        for _ in follow(newest, estimator, Tracker()):
+            taken.release()
+    assert estimator.times == [(0.0, 1.0), (0.0, 1.0)]
 
 
-def test_what_a_source_raises_reaches_the_one_who_takes() -> None:
+def test_errors_of_the_source_are_raised_to_the_consumer() -> None:
     def source() -> Iterator[RgbdFrame]:
         yield frame(0)
         raise ReaderError("the camera stopped")
 
-    with NewestFrame(source()) as latest, pytest.raises(ReaderError, match="the camera stopped"):
-        latest.take(0, timeout=5)
+    with NewestFrame(source()) as newest, pytest.raises(ReaderError, match="the camera stopped"):
+        newest.take(0, timeout=5)
 
 
-def test_leaving_stops_the_source() -> None:
+def test_leaving_the_block_closes_the_source() -> None:
     closed = threading.Event()
 
     def source() -> Iterator[RgbdFrame]:
@@ -130,13 +127,13 @@ def test_leaving_stops_the_source() -> None:
         finally:
             closed.set()
 
-    with NewestFrame(source()) as latest:
-        assert latest.take(timeout=5) is not None
+    with NewestFrame(source()) as newest:
+        assert newest.take(timeout=5) is not None
     assert closed.wait(5)
 
 
-class Clock:
-    """Time that passes only when somebody sleeps."""
+class FakeClock:
+    """A clock that advances only in `sleep`."""
 
     def __init__(self) -> None:
         self.now = 50.0
@@ -153,28 +150,25 @@ def sequence(count: int) -> FrameSequence:
     return FrameSequence(paths, CAMERA, 1000.0)
 
 
-def test_a_recording_plays_at_its_speed_and_leaves_out_what_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_plays_in_real_time_and_skips_overdue_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(FrameSequence, "__getitem__", lambda self, index: frame(index))
     for speed in (1.0, 4.0):
-        clock, seen = Clock(), []
-        for shown in replay(sequence(6), speed=speed, clock=clock, sleep=clock.sleep):
-            seen.append((shown.timestamp, clock.now - 50))
-        np.testing.assert_allclose([at for _, at in seen], 0.1 * np.arange(6) / speed, atol=1e-9)
-    clock, numbers = Clock(), []
+        clock = FakeClock()
+        shown_at = [clock.now - 50 for _ in replay(sequence(6), speed=speed, clock=clock, sleep=clock.sleep)]
+        np.testing.assert_allclose(shown_at, 0.1 * np.arange(6) / speed, atol=1e-9)
+    clock, numbers = FakeClock(), []
     for shown in replay(sequence(6), clock=clock, sleep=clock.sleep):
         numbers.append(round((shown.timestamp or 0) * 10))
-        clock.now += 0.25  # slower than the frames come
-    # After frame 0 it is 0.25 s late: frame 1, due at 0.1 s, is left out, and so on; the last is always shown.
+        clock.now += 0.25  # The consumer is slower than the recording.
+    # After frame 0 it is 0.25 s, so frame 1, due at 0.1 s, is skipped, and so on; the last frame is always yielded.
     assert numbers == [0, 2, 5]
 
 
-def test_memory_stays_flat_over_two_thousand_frames() -> None:
+def test_memory_is_bounded_over_two_thousand_frames() -> None:
     tracker = Tracker(TrackerSettings(history=2))
     shape = (12, 16)
     labels = np.zeros(shape, np.int32)
     labels[3:9, 4:10] = 1
-    from objectflow.motion import ObjectMotion
-
     for number in range(1, 2000):
         obj = ObjectMotion(1, 36, 0.9, True, np.array([0.0, 0.0, 1.0]), np.eye(4))
         tracker.update(
@@ -185,7 +179,7 @@ def test_memory_stays_flat_over_two_thousand_frames() -> None:
     assert tracker.tracks[0].id == 1
 
 
-def test_the_verb_follows_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_tracks_a_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["live", str(PAIR), "--min-gap", "0", "--out", str(tmp_path / "out")]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "#1 " in lines[0]

@@ -1,4 +1,4 @@
-"""Bags written by rosbags and read back: frames, topics, times, what is broken."""
+"""Bags written by rosbags and read back: frames, topics, times and broken bags."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CAMERA = Camera(64, 48, 60.0, 61.0, 31.0, 24.0)
 
 
 def frames(count: int) -> list[RgbdFrame]:
-    """Noise before a wall that comes nearer by 5 cm a frame."""
+    """Random colours on a wall that approaches by 5 cm per frame."""
     rng = np.random.default_rng(1)
     out = []
     for number in range(count):
@@ -37,7 +37,7 @@ def suffix(kind: Kind) -> str:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_bag_gives_its_frames_back(tmp_path: Path, kind: Kind) -> None:
+def test_frames_round_trip_through_every_kind_of_bag(tmp_path: Path, kind: Kind) -> None:
     written = frames(4)
     source = open_source(write_frames(tmp_path / suffix(kind), written, kind))
     assert len(source) == 4
@@ -47,11 +47,11 @@ def test_every_kind_of_bag_gives_its_frames_back(tmp_path: Path, kind: Kind) -> 
         np.testing.assert_allclose(read.depth, frame.depth, atol=5e-4)
         assert read.timestamp == pytest.approx(1000 + 0.1 * number)
         assert source.timestamp(number) == read.timestamp
-    # Out of order, as a viewer asks.
+    # Random access, as a viewer needs it.
     np.testing.assert_array_equal(source[2].color, written[2].color)
 
 
-def test_an_mcap_file_alone_is_a_bag(tmp_path: Path) -> None:
+def test_a_single_mcap_file_is_a_bag(tmp_path: Path) -> None:
     folder = write_frames(tmp_path / "table", frames(3), "mcap")
     (file,) = folder.glob("*.mcap")
     assert len(open_source(file)) == 3
@@ -68,12 +68,12 @@ def test_compressed_topics_are_decoded(tmp_path: Path, floating: bool) -> None:
     bag.info("/rgb/camera_info", 5.0, frame)
     (read,) = list(open_source(bag.write(tmp_path / "a.bag")))
     np.testing.assert_array_equal(read.color, frame.color)
-    # Inverse depth in steps of a hundredth: 1.5 m is known to 1.1 cm.
+    # Inverse depth is quantised to 0.01 per metre, which is 1.1 cm at 1.5 m.
     np.testing.assert_allclose(read.depth, frame.depth, atol=0.012 if floating else 5e-4)
 
 
 @pytest.mark.parametrize("encoding", ["bgr8", "rgba8", "bgra8", "mono8", "bayer_rggb8"])
-def test_colour_encodings_and_rows_with_padding(tmp_path: Path, encoding: str) -> None:
+def test_colour_encodings_and_padded_rows(tmp_path: Path, encoding: str) -> None:
     frame = frames(1)[0]
     color = np.full((48, 64, 3), (200, 100, 50), np.uint8)
     stored = {
@@ -93,7 +93,7 @@ def test_colour_encodings_and_rows_with_padding(tmp_path: Path, encoding: str) -
     np.testing.assert_array_equal(read.depth, frame.depth)
 
 
-def test_several_topics_are_listed_ready_to_paste_and_can_be_chosen(tmp_path: Path) -> None:
+def test_ambiguous_topics_are_listed_as_options_and_can_be_chosen(tmp_path: Path) -> None:
     frame = frames(1)[0]
     bag = BagBuilder("ros1")
     for name in ("left", "right"):
@@ -109,7 +109,7 @@ def test_several_topics_are_listed_ready_to_paste_and_can_be_chosen(tmp_path: Pa
         open_source(path, color_topic="/middle")
 
 
-def test_live_takes_topics_as_well(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_accepts_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = BagBuilder("ros1")
     for number, frame in enumerate(frames(2)):
         for name in ("left", "right"):
@@ -124,8 +124,8 @@ def test_live_takes_topics_as_well(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "1 estimates" in capsys.readouterr().out
 
 
-def test_a_recording_of_the_realsense_driver_is_sent_to_its_reader(tmp_path: Path) -> None:
-    """Its depth is not aligned, though it may have colour's size."""
+def test_the_error_for_a_realsense_recording_names_its_reader(tmp_path: Path) -> None:
+    """The driver records unaligned depth, which may nevertheless have the size of colour."""
     frame = frames(1)[0]
     color, depth = (f"/device_0/sensor_{k}/{name}_0/image/data" for k, name in enumerate(("Color", "Depth")))
     bag = BagBuilder("ros1")
@@ -135,24 +135,24 @@ def test_a_recording_of_the_realsense_driver_is_sent_to_its_reader(tmp_path: Pat
     path = bag.write(tmp_path / "a.bag")
     with pytest.raises(ReaderError, match="not aligned to colour: `objectflow live realsense:"):
         open_source(path)
-    # Whoever names them knows what they are.
+    # Topics that are named explicitly are accepted.
     assert len(open_source(path, color_topic=color, depth_topic=depth)) == 1
 
 
-def test_messages_are_paired_by_their_own_clock_and_not_by_the_recorders(tmp_path: Path) -> None:
+def test_messages_are_paired_by_header_stamp_and_not_by_recording_time(tmp_path: Path) -> None:
     bag = BagBuilder("sqlite3")
     written = frames(3)
     for number, frame in enumerate(written):
         bag.image(COLOR, 10 + number, frame.color, "rgb8")
         bag.image(DEPTH, 10.01 + number, np.rint(frame.depth * 1000).astype(np.uint16), "16UC1")
         bag.info(INFO, 10 + number, frame)
-    # Depth arrived a second late, as over a slow network.
+    # Depth messages are recorded a second late, as over a slow network.
     bag.messages = [(t, k, time + (10**9 if t == DEPTH else 0), m) for t, k, time, m in bag.messages]
     for read, frame in zip(open_source(bag.write(tmp_path / "a")), written, strict=True):
         np.testing.assert_allclose(read.depth, frame.depth, atol=5e-4)
 
 
-def test_bad_bags_are_told_in_one_line(tmp_path: Path) -> None:
+def test_errors_for_bad_bags_are_one_line(tmp_path: Path) -> None:
     frame = frames(1)[0]
     millimetres = np.rint(frame.depth * 1000).astype(np.uint16)
 
@@ -191,8 +191,8 @@ def test_bad_bags_are_told_in_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
 @pytest.mark.parametrize("share", [0.35, 0.6, 0.95])
-def test_of_a_bag_that_was_cut_off_the_whole_part_is_read(tmp_path: Path, kind: Kind, share: float) -> None:
-    # Larger than a chunk, which is what is lost at most.
+def test_the_complete_part_of_a_truncated_bag_is_read(tmp_path: Path, kind: Kind, share: float) -> None:
+    # At most one chunk is lost, so the bag must be larger than a chunk.
     rng = np.random.default_rng(0)
     camera = Camera(640, 480, 600.0, 600.0, 319.5, 239.5)
     written = [

@@ -1,4 +1,4 @@
-"""Plain folders of numbered frames, and the guess of what a folder is."""
+"""Plain folders of numbered frames, and the detection of a folder's kind."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def write_frame(color: Path, depth: Path, value: int) -> None:
 
 
 def values(sequence: FrameSequence) -> list[tuple[int, int]]:
-    """What each frame was written with, by its colour and by its depth."""
+    """The value with which each frame was written, from its colour and from its depth."""
     return [(int(frame.color[0, 0, 0]), round(1000 * float(frame.depth[0, 0])) - 1000) for frame in sequence]
 
 
@@ -40,7 +40,8 @@ def values(sequence: FrameSequence) -> list[tuple[int, int]]:
     ],
 )
 def test_known_layouts_in_the_order_of_numbers(tmp_path: Path, color: str, depth: str) -> None:
-    numbers = [8, 9, 10, 11] if "1305031102" not in color else [11, 12, 13, 14]  # decimals are fractions: 10 < 9
+    # Decimals are compared as fractions: .10 sorts before .9.
+    numbers = [8, 9, 10, 11] if "1305031102" not in color else [11, 12, 13, 14]
     for number in numbers:
         write_frame(tmp_path / color.format(number), tmp_path / depth.format(number), number)
     assert values(open_source(tmp_path, OPTIONS)) == [(number, number) for number in numbers]
@@ -52,7 +53,7 @@ def test_a_pair_folder_with_a_third_frame_is_a_sequence(tmp_path: Path) -> None:
     assert values(open_source(tmp_path, OPTIONS)) == [(1, 1), (2, 2), (3, 3)]
 
 
-def test_a_lonely_image_is_named(tmp_path: Path) -> None:
+def test_the_error_for_an_unpaired_image_names_it(tmp_path: Path) -> None:
     for index in (1, 2):
         write_frame(tmp_path / f"color_{index}.png", tmp_path / f"depth_{index}.png", index)
     (tmp_path / "depth_2.png").unlink()
@@ -60,14 +61,14 @@ def test_a_lonely_image_is_named(tmp_path: Path) -> None:
         open_source(tmp_path, OPTIONS)
 
 
-def test_two_images_of_one_number_are_named(tmp_path: Path) -> None:
+def test_two_images_with_the_same_number_are_refused(tmp_path: Path) -> None:
     write_frame(tmp_path / "color_1.png", tmp_path / "depth_1.png", 1)
     write_frame(tmp_path / "color_01.png", tmp_path / "depth_1.png", 1)
     with pytest.raises(ReaderError, match="same number"):
         open_source(tmp_path, OPTIONS)
 
 
-def test_nothing_there(tmp_path: Path) -> None:
+def test_paths_without_frames_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ReaderError, match="no RGB-D frames"):
         open_source(tmp_path)
     with pytest.raises(ReaderError, match="no such folder"):

@@ -1,4 +1,4 @@
-"""Random arrays at the door: a frame that is let in keeps its promises, anything else is an `ObjectflowError`."""
+"""Random arrays as input of `RgbdFrame`: accepted frames keep their guarantees, others raise `ObjectflowError`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_random_arrays(color: Any, depth: Any) -> None:
 
 @given(depth=hnp.arrays(np.float32, (3, 4), elements=st.floats(0.25, 20, width=32) | st.just(0.0)))
 @settings(max_examples=50, deadline=None, derandomize=True)
-def test_good_depth_is_let_in_unchanged(depth: Float32Array) -> None:
+def test_valid_depth_is_kept_unchanged(depth: Float32Array) -> None:
     depth[0, 0] = 1.0
     frame = RgbdFrame(color=np.zeros((3, 4, 3), np.uint8), depth=depth, camera=CAMERA)
     np.testing.assert_array_equal(frame.depth, depth)

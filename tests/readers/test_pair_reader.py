@@ -42,7 +42,7 @@ def test_jpeg_colour_and_default_scale(tmp_path: Path) -> None:
     np.testing.assert_allclose(sequence[0].depth, 1.5, rtol=1e-6)
 
 
-def test_the_callers_scale_wins(tmp_path: Path) -> None:
+def test_the_callers_depth_scale_overrides_the_file(tmp_path: Path) -> None:
     write_pair(tmp_path)
     sequence = open_pair(tmp_path, CameraOptions(depth_scale=500))
     np.testing.assert_allclose(sequence[0].depth, 3.0, rtol=1e-6)
@@ -73,13 +73,13 @@ def test_two_sources_of_intrinsics_are_refused(tmp_path: Path) -> None:
         ({"width": 16}, CameraError, "outside|fit"),
     ],
 )
-def test_camera_file_that_does_not_fit(
+def test_a_camera_file_that_does_not_match_is_refused(
     tmp_path: Path, change: dict[str, int | None], kind: type[ObjectflowError], words: str
 ) -> None:
     write_pair(tmp_path)
     values = {name: value for name, value in {**CAMERA, **change}.items() if value is not None}
     if change.get("width") == 16:
-        values["cx"] = 15.9  # outside 16 columns: the message must say so instead of shifting the image
+        values["cx"] = 15.9  # Outside the 16 columns: the reader must report it instead of shifting the image.
     (tmp_path / "camera.json").write_text(json.dumps(values))
     with pytest.raises(kind, match=words) as caught:
         open_pair(tmp_path)

@@ -1,4 +1,4 @@
-"""Whatever the files hold, only `ObjectflowError` may come out of the readers."""
+"""Readers raise only `ObjectflowError`, whatever the files hold."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def write_good(folder: Path) -> None:
     (folder / "camera.json").write_text(json.dumps(CAMERA))
 
 
-def test_the_good_pair_is_read(tmp_path: Path) -> None:
+def test_the_valid_pair_is_read(tmp_path: Path) -> None:
     write_good(tmp_path)
     assert read_all(tmp_path) == 2
 

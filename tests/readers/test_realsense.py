@@ -1,4 +1,4 @@
-"""The RealSense reader against a stand-in for the driver: no camera is needed, and all that can go wrong does."""
+"""The RealSense reader with a fake driver: no camera is needed, and every failure can be provoked."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SCALE = 0.00025
 
 
 class Driver:
-    """What the reader needs of pyrealsense2, with frames that count up."""
+    """A fake of the part of pyrealsense2 that the reader uses; it serves numbered frames."""
 
     def __init__(self, frames: int, *, plugged: bool = True) -> None:
-        self.left, self.plugged = frames, plugged
+        self.remaining, self.plugged = frames, plugged
         self.started = self.stopped = 0
         self.real_time = True
         self.streams: list[tuple[Any, ...]] = []
@@ -38,7 +38,7 @@ class Driver:
         out.pipeline_wrapper = lambda pipeline: pipeline  # type: ignore[attr-defined]
         return out
 
-    # The configuration.
+    # Interface of `rs.config`.
     def enable_stream(self, *values: Any) -> None:
         self.streams.append(values)
 
@@ -52,7 +52,7 @@ class Driver:
         assert self.started == 0
         return self
 
-    # The pipeline, its profile and its device.
+    # Interface of the pipeline, its profile and its device.
     def start(self, config: Any) -> Driver:
         if not self.plugged:
             raise RuntimeError("No device connected")
@@ -75,15 +75,15 @@ class Driver:
         return SimpleNamespace(get_depth_scale=lambda: SCALE)
 
     def get_stream(self, kind: str) -> Any:
-        inside = SimpleNamespace(width=8, height=6, fx=9.0, fy=9.5, ppx=3.0, ppy=2.5)
-        return SimpleNamespace(as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=lambda: inside))
+        intrinsics = SimpleNamespace(width=8, height=6, fx=9.0, fy=9.5, ppx=3.0, ppy=2.5)
+        return SimpleNamespace(as_video_stream_profile=lambda: SimpleNamespace(get_intrinsics=lambda: intrinsics))
 
-    def wait_for_frames(self, patience: int) -> Any:
-        if self.left == 0:
+    def wait_for_frames(self, timeout_ms: int) -> Any:
+        if self.remaining == 0:
             raise RuntimeError("Frame didn't arrive within 5000")
-        self.left -= 1
-        number = self.left
-        # A recording gives a set whenever one of the two is new.
+        self.remaining -= 1
+        number = self.remaining
+        # A recording yields a frame set whenever either image is new.
         count = number if self.file is None else number // 2
         color = SimpleNamespace(
             get_data=lambda: np.full((6, 8, 3), [count, 1, 2], np.uint8),
@@ -112,7 +112,7 @@ def test_frames_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     first = next(frames)
     np.testing.assert_allclose(first.depth, 1.0, rtol=1e-6)
     assert (first.camera.width, first.camera.fx, first.camera.cy) == (8, 9.0, 2.5)
-    # Exposure settles during the first frames; they are left out.
+    # The first frames are skipped until the exposure has converged.
     assert first.color[0, 0, 0] == 20 - module.WARM_UP - 1
     assert first.timestamp == 100 - first.color[0, 0, 0]
     frames.close()
@@ -123,7 +123,7 @@ def test_a_recording_is_read_to_its_end(monkeypatch: pytest.MonkeyPatch, tmp_pat
     driver = Driver(10)
     (tmp_path / "a.bag").write_bytes(b"")
     frames = list(reader(monkeypatch, driver).read_realsense(tmp_path / "a.bag"))
-    # Each colour image once, with the depth of its own time rather than the one before.
+    # Each colour image appears once, with the depth of the same time instead of the earlier one.
     assert [frame.color[0, 0, 0] for frame in frames] == [4, 3, 2, 1, 0]
     assert all((frame.depth == 1.0).all() for frame in frames)
     assert driver.file == (str(tmp_path / "a.bag"), False)
@@ -132,14 +132,14 @@ def test_a_recording_is_read_to_its_end(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert (driver.started, driver.stopped) == (1, 1)
 
 
-def test_the_verb_plays_a_recording(
+def test_live_plays_a_recording(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     driver = Driver(10)
     reader(monkeypatch, driver)
     (tmp_path / "a.bag").write_bytes(b"")
     driver.real_time = False
-    # Frames come at once here; a method sees the newest one alone.
+    # The fake serves all frames at once, so a method may see the newest frame only.
     code = main(["live", f"realsense:{tmp_path / 'a.bag'}", "--method", "zero", "--min-gap", "0"])
     assert driver.real_time
     assert code == 0 or "no two frames" in capsys.readouterr().err
@@ -158,7 +158,7 @@ def test_colour_of_other_formats(monkeypatch: pytest.MonkeyPatch) -> None:
     assert driver.stopped == 1
 
 
-def test_no_camera_and_one_that_is_pulled_out_are_told(
+def test_missing_and_unplugged_cameras_are_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     module = reader(monkeypatch, Driver(0, plugged=False))
@@ -174,7 +174,7 @@ def test_no_camera_and_one_that_is_pulled_out_are_told(
     assert driver.stopped == 1
 
 
-def test_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_for_a_missing_driver_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     monkeypatch.delitem(sys.modules, "objectflow.readers.realsense", raising=False)
     with pytest.raises(MissingExtraError, match=r"objectflow\[realsense\]"):

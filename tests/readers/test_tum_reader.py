@@ -1,4 +1,4 @@
-"""TUM RGB-D directories: association by time, bad lists."""
+"""TUM RGB-D directories: association by time and malformed lists."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_nearest_depth_default_scale_and_order(tmp_path: Path) -> None:
     assert [float(frame.depth[0, 0]) for frame in sequence] == [1.0, 2.0, 3.0]
 
 
-def test_named_camera_only_if_named(tmp_path: Path) -> None:
+def test_a_named_camera_must_be_requested(tmp_path: Path) -> None:
     write_tum(tmp_path, [1.0], [1.0], (640, 480))
     with pytest.raises(ReaderError, match="fr1"):
         open_source(tmp_path)
@@ -48,7 +48,7 @@ def test_named_camera_only_if_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("line", ["abc rgb/1.png", "1.5", "nan rgb/1.png", "inf rgb/1.png", "1.5 a\x00b"])
-def test_a_bad_line_is_named(tmp_path: Path, line: str) -> None:
+def test_the_error_for_a_malformed_line_names_it(tmp_path: Path, line: str) -> None:
     (tmp_path / "rgb.txt").write_text(f"# comment\n1.0 rgb/a.png\n{line}\n")
     with pytest.raises(ReaderError, match="line 3"):
         read_list(tmp_path / "rgb.txt")
@@ -68,9 +68,9 @@ def test_association_is_one_to_one_within_the_limit_and_maximal(first: list[floa
     assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
     assert pairs == sorted(pairs)
     assert all(abs(first[i] - second[j]) <= 0.02 + 1e-9 for i, j in pairs)
-    lonely_first = set(range(len(first))) - {i for i, _ in pairs}
-    lonely_second = set(range(len(second))) - {j for _, j in pairs}
-    assert all(abs(first[i] - second[j]) > 0.02 - 1e-9 for i, j in itertools.product(lonely_first, lonely_second))
-    # No pair could do better by swapping one end for a closer time that nobody took.
+    unpaired_first = set(range(len(first))) - {i for i, _ in pairs}
+    unpaired_second = set(range(len(second))) - {j for _, j in pairs}
+    assert all(abs(first[i] - second[j]) > 0.02 - 1e-9 for i, j in itertools.product(unpaired_first, unpaired_second))
+    # No pair gets closer in time by exchanging one member for an unpaired time.
     for i, j in pairs:
-        assert all(abs(first[i] - second[k]) >= abs(first[i] - second[j]) - 1e-9 for k in lonely_second)
+        assert all(abs(first[i] - second[k]) >= abs(first[i] - second[j]) - 1e-9 for k in unpaired_second)

@@ -1,4 +1,4 @@
-"""Plates that slide before a wall: masks and motions known, so ids and trajectories are too."""
+"""Tracking of plates that slide in front of a wall, with known masks, motions, ids and trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from objectflow.typing import Float64Array
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 HALF_PIXEL = 0.5 / 150
-"""Metres at 1 m: how far the middle of a plate's pixels may be from its centre."""
+"""Half a pixel at 1 m, metres: largest distance between the mean of a plate's pixels and its centre."""
 
 
 def plates(
@@ -32,9 +32,9 @@ def plates(
     camera_motion: Float64Array | None = None,
     order: tuple[int, ...] | None = None,
 ) -> tuple[RgbdFrame, SceneMotion, dict[int, int]]:
-    """Square plates of 24 cm at 1 m before a wall at 2 m. Each has a number here, and another id in the frame.
+    """Square plates of 24 cm at 1 m in front of a wall at 2 m, keyed by plate number.
 
-    Returns the current frame, the motion, and the id of each number.
+    Returns the current frame, the motion, and the object id of each plate number; `order` permutes the ids.
     """
     depth = np.full((120, 160), 2.0, np.float32)
     labels = np.zeros((120, 160), np.int32)
@@ -56,42 +56,42 @@ def plates(
     return frame, SceneMotion(labels, flow, tuple(objects), camera_motion), ids
 
 
-def test_ids_last_though_the_pairs_number_their_objects_anew() -> None:
+def test_track_ids_persist_when_pairs_number_their_objects_differently() -> None:
     tracker = Tracker()
-    where = {1: [(-0.3 + 0.03 * t, 0.0) for t in range(6)], 2: [(0.3 - 0.03 * t, 0.02 * t) for t in range(6)]}
-    seen: dict[int, set[int]] = {1: set(), 2: set()}
+    paths = {1: [(-0.3 + 0.03 * t, 0.0) for t in range(6)], 2: [(0.3 - 0.03 * t, 0.02 * t) for t in range(6)]}
+    track_ids: dict[int, set[int]] = {1: set(), 2: set()}
     for t in range(1, 6):
         order = (1, 2) if t % 2 else (2, 1)
         frame, motion, ids = plates(
-            {n: p[t] for n, p in where.items()}, {n: p[t - 1] for n, p in where.items()}, order=order
+            {n: p[t] for n, p in paths.items()}, {n: p[t - 1] for n, p in paths.items()}, order=order
         )
         found = tracker.update(t - 1, frame, t, motion)
         for number, label in ids.items():
-            seen[number].add(found[label])
+            track_ids[number].add(found[label])
     assert len(tracker.tracks) == 2
-    assert sorted(map(len, seen.values())) == [1, 1]
-    for number, path in where.items():
-        track = tracker.tracks[seen[number].pop() - 1]
+    assert sorted(map(len, track_ids.values())) == [1, 1]
+    for number, path in paths.items():
+        track = tracker.tracks[track_ids[number].pop() - 1]
         assert track.times == [0, 1, 2, 3, 4, 5]
         positions = np.array([pose[:2, 3] for pose in track.world_T_object])
-        # The middle of a plate's pixels is its centre to within half a pixel.
+        # The mean of a plate's pixels deviates from its centre by up to half a pixel.
         np.testing.assert_allclose(positions, path, atol=HALF_PIXEL)
         np.testing.assert_allclose(np.diff(positions, axis=0), np.diff(path, axis=0), atol=1e-9)
 
 
-def test_turning_motions_are_chained() -> None:
+def test_rotations_are_chained() -> None:
     tracker = Tracker()
     frame, motion, _ = plates({1: (0.0, 0.0)}, {1: (0.0, 0.0)})
-    turn = np.eye(4)
-    turn[:3, :3] = Rotation.from_euler("z", -10, degrees=True).as_matrix()
-    turned = ObjectMotion(1, motion.objects[0].pixels, 0.9, True, motion.objects[0].center, turn)
+    rotation = np.eye(4)
+    rotation[:3, :3] = Rotation.from_euler("z", -10, degrees=True).as_matrix()
+    rotated = ObjectMotion(1, motion.objects[0].pixels, 0.9, True, motion.objects[0].center, rotation)
     for t in range(1, 4):
-        tracker.update(t - 1, frame, t, SceneMotion(motion.labels, motion.scene_flow, (turned,)))
+        tracker.update(t - 1, frame, t, SceneMotion(motion.labels, motion.scene_flow, (rotated,)))
     pose = tracker.tracks[0].world_T_object[-1]
     np.testing.assert_allclose(Rotation.from_matrix(pose[:3, :3]).as_rotvec(), [0, 0, np.radians(30)], atol=1e-9)
 
 
-def test_a_thing_that_rests_keeps_its_id_when_it_moves_on() -> None:
+def test_an_object_that_rests_keeps_its_id_when_it_moves_again() -> None:
     tracker = Tracker()
     first = plates({1: (0.03, 0.0)}, {1: (0.0, 0.0)})
     rest = plates({}, {})
@@ -106,21 +106,21 @@ def test_a_thing_that_rests_keeps_its_id_when_it_moves_on() -> None:
     np.testing.assert_allclose(np.diff(positions), [0.03, 0, 0.05], atol=1e-9)
 
 
-def test_a_thing_hidden_while_it_moves_is_looked_for_further_on() -> None:
-    where = [(-0.38 + 0.12 * t, 0.0) for t in range(8)]
+def test_an_object_hidden_while_it_moves_is_searched_where_its_motion_predicts() -> None:
+    path = [(-0.38 + 0.12 * t, 0.0) for t in range(8)]
     results = {}
     for coast in (0, 3):
         tracker = Tracker(TrackerSettings(coast=coast))
         for t in range(1, 8):
             hidden = t in (3, 4)
-            frame, motion, _ = plates({} if hidden else {1: where[t]}, {} if hidden else {1: where[t - 1]})
+            frame, motion, _ = plates({} if hidden else {1: path[t]}, {} if hidden else {1: path[t - 1]})
             tracker.update(t - 1, frame, t, motion)
         results[coast] = len(tracker.tracks)
     assert results == {0: 2, 3: 1}
 
 
-def test_the_camera_is_taken_out() -> None:
-    # The camera slides by 5 cm a frame to the right: what it sees slides to the left, what moves with it stands still.
+def test_the_cameras_motion_is_compensated() -> None:
+    # The camera moves to the right by 5 cm per frame; an object that moves with it is static in the image.
     prev_T_curr = np.eye(4)
     prev_T_curr[0, 3] = 0.05
     tracker = Tracker()
@@ -132,12 +132,12 @@ def test_the_camera_is_taken_out() -> None:
     np.testing.assert_allclose(np.diff([pose[0, 3] for pose in tracker.tracks[0].world_T_object]), 0.05, atol=1e-9)
 
 
-def test_still_and_doubtful_objects_get_no_track() -> None:
+def test_static_and_low_score_objects_get_no_track() -> None:
     frame, motion, _ = plates({1: (0.0, 0.0), 2: (0.3, 0.0)}, {1: (0.0, 0.0), 2: (0.25, 0.0)})
-    still, doubtful = motion.objects
+    static, moving = motion.objects
     objects = (
-        ObjectMotion(1, still.pixels, 0.9, False, still.center, still.prev_T_curr),
-        ObjectMotion(2, doubtful.pixels, 0.1, True, doubtful.center, doubtful.prev_T_curr),
+        ObjectMotion(1, static.pixels, 0.9, False, static.center, static.prev_T_curr),
+        ObjectMotion(2, moving.pixels, 0.1, True, moving.center, moving.prev_T_curr),
     )
     tracker = Tracker()
     assert tracker.update(0, frame, 1, SceneMotion(motion.labels, motion.scene_flow, objects)) == {}
@@ -145,51 +145,51 @@ def test_still_and_doubtful_objects_get_no_track() -> None:
 
 
 @pytest.mark.parametrize(("absent", "tracks"), [(4, 1), (6, 2)])
-def test_what_is_long_gone_is_forgotten(absent: int, tracks: int) -> None:
-    """It comes back to where it was: known as long as it is remembered, a new thing after that."""
-    tracker = Tracker(TrackerSettings(forget=5))
-    there, gone = plates({1: (0.02, 0.0)}, {1: (0.0, 0.0)}), plates({}, {})
+def test_tracks_end_after_their_maximum_age(absent: int, tracks: int) -> None:
+    """An object that reappears keeps its track up to the maximum age and gets a new one afterwards."""
+    tracker = Tracker(TrackerSettings(max_age=5))
+    visible, gone = plates({1: (0.02, 0.0)}, {1: (0.0, 0.0)}), plates({}, {})
     again = plates({1: (0.04, 0.0)}, {1: (0.02, 0.0)})
-    tracker.update(0, there[0], 1, there[1])
+    tracker.update(0, visible[0], 1, visible[1])
     for t in range(1, 1 + absent):
         tracker.update(t, gone[0], t + 1, gone[1])
     assert tracker.update(absent + 1, again[0], absent + 2, again[1]) == {1: tracks}
     assert len(tracker.tracks) == tracks
 
 
-def test_memory_stays_flat_while_things_come_and_go() -> None:
-    tracker = Tracker(TrackerSettings(forget=5, history=2))
+def test_memory_is_bounded_while_objects_appear_and_disappear() -> None:
+    tracker = Tracker(TrackerSettings(max_age=5, history=2))
     rng = np.random.default_rng(0)
-    where = rng.uniform(-0.4, 0.4, (150, 2)) * (1, 0.7)
-    shots = [plates({1: (x, y)}, {1: (x + 0.02, y)}) for x, y in where]
-    rest = [plates({}, {})] * 6  # long enough for everything to be forgotten
-    time, ids, most = 0, 0, 0
+    positions = rng.uniform(-0.4, 0.4, (150, 2)) * (1, 0.7)
+    results = [plates({1: (x, y)}, {1: (x + 0.02, y)}) for x, y in positions]
+    empty = [plates({}, {})] * 6  # Long enough for all tracks to end.
+    time, largest_id, most_tracks = 0, 0, 0
 
-    def follow(shots: list[tuple[RgbdFrame, SceneMotion, dict[int, int]]]) -> int:
-        """Bytes in use once everything that came is gone."""
-        nonlocal time, ids, most
-        for frame, motion, _ in [*shots, *rest]:
+    def track(results: list[tuple[RgbdFrame, SceneMotion, dict[int, int]]]) -> int:
+        """Bytes in use after all tracks have ended."""
+        nonlocal time, largest_id, most_tracks
+        for frame, motion, _ in [*results, *empty]:
             tracker.update(time, frame, time + 1, motion)
             time += 1
-            ids = max([ids, *(track.id for track in tracker.tracks)])
-            most = max(most, len(tracker.tracks))
+            largest_id = max([largest_id, *(track.id for track in tracker.tracks)])
+            most_tracks = max(most_tracks, len(tracker.tracks))
         assert tracker.tracks == []
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()
     try:
-        used = [follow(shots[first : first + 50]) for first in (0, 50, 100)]
+        used = [track(results[first : first + 50]) for first in (0, 50, 100)]
     finally:
         tracemalloc.stop()
-    assert ids > 30  # many came
-    assert most <= 6
-    # A surface of 600 points takes 14 KB, and dozens come in each window. What some library keeps once shows in
-    # one window; what the tracker kept of every thing would show in all.
+    assert largest_id > 30
+    assert most_tracks <= 6
+    # A surface of 600 points takes 14 KB, and each window has dozens. A one-time allocation of a library would
+    # increase one window only; surfaces kept by the tracker would increase all.
     assert min(np.diff(used)) < 20_000
 
 
-def test_overlap_of_footprints() -> None:
+def test_footprint_overlap() -> None:
     v, u = np.mgrid[0:40, 0:40]
     plate = geometry.back_project(np.ones((120, 160), np.float32), CAMERA)[v, u].reshape(-1, 3).astype(np.float64)
     half = plate + np.array([20 / 150, 0, 0])

@@ -1,4 +1,4 @@
-"""Pictures of results: what is drawn where, at every size."""
+"""Pictures of results: position and colour of what is drawn, at every image size."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def make_frame(width: int, height: int) -> RgbdFrame:
 
 
 def make_motion(frame: RgbdFrame, moved: tuple[float, float, float], *, moving: bool = True) -> SceneMotion:
-    """A rectangle in the middle of the image that moved by `moved` metres from previous to current."""
+    """A rectangle in the image centre that moved by `moved` metres from the previous to the current frame."""
     height, width = frame.depth.shape
     labels = np.zeros((height, width), np.int32)
     labels[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3] = 1
@@ -44,7 +44,7 @@ def colored(image: UInt8Array, color: tuple[int, int, int], tolerance: int = 30)
 
 
 @pytest.mark.parametrize(("width", "height"), [(160, 120), (320, 240), (640, 480), (1280, 720), (1920, 1080)])
-def test_sizes_are_whole_multiples_and_large_enough(width: int, height: int) -> None:
+def test_sizes_are_integer_multiples_and_large_enough(width: int, height: int) -> None:
     frame = make_frame(width, height)
     overlay = draw_overlay(frame, make_motion(frame, (0.05, 0, 0)))
     assert overlay.dtype == np.uint8
@@ -62,16 +62,16 @@ def test_the_outline_follows_the_mask() -> None:
     scale = image.shape[1] // 320
     outline = colored(image, object_color(1))
     v, u = np.nonzero(outline)
-    # The mask is columns 106..212 and rows 80..159; its label lies elsewhere (right and above of the middle).
+    # The mask covers columns 106..212 and rows 80..159; the tag lies above and to the right of the centre.
     left = u[(v > 100 * scale) & (v < 140 * scale)].min() / scale
     assert left == pytest.approx(106, abs=1.5)
     assert v.max() / scale == pytest.approx(160, abs=1.5)
     inside, outside = image[150 * scale, 120 * scale], image[200 * scale, 120 * scale]
-    assert int(inside[0]) - int(inside[2]) > 40  # tinted with the object's red
-    assert abs(int(outside[0]) - int(outside[2])) < 3  # the grey background stays grey
+    assert int(inside[0]) - int(inside[2]) > 40  # Tinted with the object's red.
+    assert abs(int(outside[0]) - int(outside[2])) < 3  # The grey background stays grey.
 
 
-def test_still_objects_are_outlined_but_not_filled() -> None:
+def test_static_objects_are_outlined_but_not_filled() -> None:
     frame = make_frame(320, 240)
     image = draw_overlay(frame, make_motion(frame, (0, 0, 0), moving=False))
     scale = image.shape[1] // 320
@@ -80,10 +80,10 @@ def test_still_objects_are_outlined_but_not_filled() -> None:
     assert colored(image, object_color(1)).any()
 
 
-def test_the_arrow_runs_from_the_old_centre_to_the_new_one() -> None:
+def test_the_arrow_runs_from_the_previous_to_the_current_centre() -> None:
     frame = make_frame(640, 480)
-    still, moved = (draw_overlay(frame, make_motion(frame, (x, 0, 0))) for x in (0.0, 0.10))
-    changed = np.abs(still.astype(int) - moved.astype(int)).max(-1) > 60
+    static, moved = (draw_overlay(frame, make_motion(frame, (x, 0, 0))) for x in (0.0, 0.10))
+    changed = np.abs(static.astype(int) - moved.astype(int)).max(-1) > 60
     row = changed[int((239.5 + 0.5) * 2)]
     u = np.nonzero(row)[0] / 2
     # 10 cm at 1 m with f = 576: the tail lies 57.6 pixels left of the centre at 319.5.
@@ -92,7 +92,7 @@ def test_the_arrow_runs_from_the_old_centre_to_the_new_one() -> None:
 
 
 @pytest.mark.parametrize("center", [(0.0, 0.0, -1.0), (50.0, 0.0, 0.1), (0.0, 0.0, 1e-9)])
-def test_a_centre_that_cannot_be_seen_is_survived(center: tuple[float, float, float]) -> None:
+def test_objects_with_a_centre_out_of_view_are_drawn(center: tuple[float, float, float]) -> None:
     frame = make_frame(320, 240)
     motion = make_motion(frame, (0.05, 0, 0))
     hidden = ObjectMotion(1, 5, 0.5, True, np.array(center), motion.objects[0].prev_T_curr)
@@ -105,11 +105,11 @@ def test_flow_panels_show_direction_depth_and_missing_pixels() -> None:
     sheet = draw_flow(frame, make_motion(frame, (0.05, 0, -0.05)))
     left_panel, right_panel = sheet[34:514, 14:654], sheet[34:514, 668:1308]
     red_right = left_panel[240, 320].astype(int)
-    assert red_right[0] > red_right[2] + 50  # to the right = the red of the wheel
+    assert red_right[0] > red_right[2] + 50  # Motion to the right is red on the wheel.
     toward = right_panel[240, 320].astype(int)
-    assert toward[0] > toward[2] + 50  # towards the camera = red
+    assert toward[0] > toward[2] + 50  # Motion towards the camera is red.
     for panel in (left_panel, right_panel):
-        assert np.ptp(panel[100, 300]) <= 1  # what stays is grey to white
+        assert np.ptp(panel[100, 300]) <= 1  # Static points are grey to white.
         np.testing.assert_allclose(panel[240, 20], np.array(NO_DEPTH) * 0.92, atol=1)
 
 
@@ -124,22 +124,22 @@ def test_an_empty_result_has_no_colour() -> None:
 @pytest.mark.parametrize(
     ("length", "expected"), [(0.001, 0.01), (0.012, 0.015), (0.05, 0.05), (0.0501, 0.06), (0.9, 1.0), (2.2, 3.0)]
 )
-def test_the_range_is_round_and_covers(length: float, expected: float) -> None:
+def test_the_range_is_round_and_covers_the_flow(length: float, expected: float) -> None:
     moved = np.zeros((1000, 3))
     moved[:50, 1] = length
     assert flow_range(moved) == pytest.approx(expected)
 
 
-def test_wheel_is_white_at_rest_and_tells_directions_apart() -> None:
+def test_the_wheel_is_white_at_rest_and_directions_are_distinguishable() -> None:
     angles = np.arange(12) * np.pi / 6
     ring = wheel(np.cos(angles), np.sin(angles)).astype(int)
     assert wheel(np.array(0.0), np.array(0.0)).tolist() == [255, 255, 255]
-    apart = np.abs(ring[:, None] - ring[None]).max(-1)[~np.eye(12, dtype=bool)]
-    assert apart.min() > 30
+    differences = np.abs(ring[:, None] - ring[None]).max(-1)[~np.eye(12, dtype=bool)]
+    assert differences.min() > 30
     assert (wheel(np.array(5.0), np.array(0.0)) == ring[0]).all()
 
 
-def test_diverging_is_white_at_zero_and_opposite_at_the_ends() -> None:
+def test_the_diverging_map_is_white_at_zero_with_opposite_ends() -> None:
     low, zero, high = diverging(np.array([-1.0, 0.0, 1.0])).astype(int)
     assert zero.tolist() == [255, 255, 255]
     assert low[0] > low[2] + 80
@@ -148,14 +148,14 @@ def test_diverging_is_white_at_zero_and_opposite_at_the_ends() -> None:
 
 def test_object_colours_differ() -> None:
     palette = np.array([object_color(i) for i in range(1, 9)])
-    apart = np.abs(palette[:, None] - palette[None]).max(-1)[~np.eye(8, dtype=bool)]
-    assert apart.min() > 45
+    differences = np.abs(palette[:, None] - palette[None]).max(-1)[~np.eye(8, dtype=bool)]
+    assert differences.min() > 45
     many = {object_color(i) for i in range(1, 61)}
     assert len(many) == 60
     assert all(0 <= value <= 255 for color in many for value in color)
 
 
-def test_text_is_drawn_without_a_font_face(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_text_is_drawn_without_truetype_fonts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(cv2, "FontFace", raising=False)
     frame = make_frame(320, 240)
     sheet = draw_flow(frame, make_motion(frame, (0.05, 0, 0)))

@@ -1,4 +1,4 @@
-"""The page of an evaluation: its numbers, its escapes, what it holds of a pair, and that it is whole."""
+"""The report of an evaluation: numbers, escaping, pair data, and atomic writing."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NASTY = "</script><script>alert(1)</script><!-- <b>&amp; \"quoted\" 'name'"
 
 
 class Reader(HTMLParser):
-    """Elements that load, cells of the tables, and what scripts hold; fails on tags that do not close in order."""
+    """Collects addresses, table cells and JSON blocks of a page; fails on tags that are not closed in order."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -123,27 +123,27 @@ def test_scores_of_pairs_and_breakdowns_are_the_evaluations(small: tuple[Any, Me
                 continue
             assert scores[ids.index("mean_f")] == score.segmentation.mean_f.f
             assert scores[ids.index("epe_masked")] == score.flow.masked.epe_cm
-    by_number = next(one for one in report["breakdowns"] if one["name"] == "objects in the image")
+    by_number = next(entry for entry in report["breakdowns"] if entry["name"] == "objects in the image")
     seen = [sum(obj.in_both for obj in pair.objects) for pair in small[0].pairs]
     few = sum(count for count, pair in zip(seen, small[0].pairs, strict=True) if pair.number < 4)
     assert by_number["counts"][:2] == [f"n={few}", f"n={sum(seen) - few}"]
     assert set(by_number["values"]) == {plot["id"] for plot in report["plots"]} == {"f", "epe"}
 
 
-def test_nothing_is_loaded_from_elsewhere(page: Reader) -> None:
-    assert [one for one in page.addresses if not one.startswith(("#", "data:"))] == []
+def test_the_page_loads_nothing(page: Reader) -> None:
+    assert [address for address in page.addresses if not address.startswith(("#", "data:"))] == []
     assert "alert" not in page.tags
     assert "3D views: three.js" in page.text
 
 
-def test_texts_cannot_break_out(small: tuple[Any, MemorySource], tmp_path: Path) -> None:
+def test_texts_are_escaped(small: tuple[Any, MemorySource], tmp_path: Path) -> None:
     plain = tmp_path / "plain.html"
     write_report(plain, *small)
     nasty = make_set(2, methods={NASTY: estimate_noisy}, name=NASTY, fail=(NASTY, f"{NASTY}-0001"), failure=NASTY)
     path = tmp_path / "nasty.html"
     write_report(path, *nasty)
     reader = Reader(path.read_text(encoding="utf-8"))
-    # As many scripts as without it: two less for two pairs less. No element came from a name.
+    # Two scripts less because of two pairs less; no name was parsed as an element.
     assert reader.tags.count("script") == Reader(plain.read_text(encoding="utf-8")).tags.count("script") - 2
     assert reader.tags.count("b") == 0
     assert reader.blocks["report-data"]["methods"][0]["name"] == NASTY
@@ -153,7 +153,7 @@ def test_texts_cannot_break_out(small: tuple[Any, MemorySource], tmp_path: Path)
 
 
 def unpack(text: str) -> np.ndarray[Any, np.dtype[np.int16]]:
-    """The inverse of `pack_words`, written as the page's script does it: one number after the other."""
+    """The inverse of `pack_words`, implemented as in the page's script."""
     data = zlib.decompress(base64.b64decode(text))
     half, last, values = len(data) // 2, 0, []
     for low, high in zip(data[:half], data[half:], strict=True):
@@ -162,7 +162,7 @@ def unpack(text: str) -> np.ndarray[Any, np.dtype[np.int16]]:
     return np.array(values, dtype=np.int16)
 
 
-def test_words_come_back() -> None:
+def test_packed_words_round_trip() -> None:
     rng = np.random.default_rng(0)
     values = rng.integers(-32768, 32768, (3, 7), dtype=np.int16)
     np.testing.assert_array_equal(unpack(pack_words(values)), values.ravel())
@@ -170,15 +170,15 @@ def test_words_come_back() -> None:
     assert len(pack_words(smooth)) < 200
 
 
-def test_millimetres_mark_what_is_missing() -> None:
+def test_millimetres_mark_missing_flow() -> None:
     flow = np.array([[[0.001, -0.0026, 0.1], [np.nan, 0, 0], [1e9, -1e9, 0]]], dtype=np.float32)
     packed = millimetres(flow, np.array([[True, True, True]]))
     assert packed[:, 0].T.tolist() == [[1, -3, 100], [NO_FLOW] * 3, [32767, -32767, 0]]
     hidden = millimetres(flow, np.array([[True, False, True]]))
-    assert hidden[:, 0, 1].tolist() == [1, -3, 100]  # never shown: the cheapest number
+    assert hidden[:, 0, 1].tolist() == [1, -3, 100]  # Never shown, so the preceding value is repeated.
 
 
-def test_a_pair_is_there_with_its_points_flow_and_masks(small: tuple[Any, MemorySource], page: Reader) -> None:
+def test_a_pair_block_holds_points_flow_and_masks(small: tuple[Any, MemorySource], page: Reader) -> None:
     evaluation, source = small
     block = page.blocks["pair-data-1"]
     pair = source.pair(evaluation.pairs[1].key)
@@ -190,14 +190,14 @@ def test_a_pair_is_there_with_its_points_flow_and_masks(small: tuple[Any, Memory
     truth, zero, noisy = block["layers"]
     assert [layer["method"] for layer in block["layers"]] == [-1, 0, 1]
     flow = unpack(truth["flow"]).reshape(3, rows, columns) / 1000
-    there = depth > 0
+    valid = depth > 0
     exact = np.nan_to_num(pair.truth.scene_flow[offset::stride, offset::stride]).transpose(2, 0, 1)
-    np.testing.assert_allclose(flow[:, there], exact[:, there], atol=0.00051)
+    np.testing.assert_allclose(flow[:, valid], exact[:, valid], atol=0.00051)
     assert not unpack(zero["flow"]).any()
     labels = np.frombuffer(zlib.decompress(base64.b64decode(truth["labels"])), np.uint8)
     np.testing.assert_array_equal(np.bincount(labels) > 0, True)
     np.testing.assert_array_equal(labels.reshape(pair.truth.labels.shape) > 0, pair.truth.labels > 0)
-    # The noisy method numbers objects the other way round; on the page each has its true object's colour.
+    # The noisy method numbers objects in reverse order; on the page each has its true object's colour.
     colors = {obj["name"]: obj["color"] for obj in truth["objects"]}
     for obj in noisy["objects"]:
         name, f = obj["name"].split(", F ")
@@ -208,11 +208,11 @@ def test_a_pair_is_there_with_its_points_flow_and_masks(small: tuple[Any, Memory
     np.testing.assert_allclose(truth["objects"][0]["translation"], moved, atol=1e-5)
 
 
-def test_a_failed_pair_has_no_layer_of_that_method(page: Reader) -> None:
+def test_a_failed_pair_has_no_layer_of_the_failed_method(page: Reader) -> None:
     assert [layer["method"] for layer in page.blocks["pair-data-2"]["layers"]] == [-1, 0]
 
 
-def test_large_images_are_reduced(tmp_path: Path) -> None:
+def test_large_images_are_downscaled(tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", *make_set(1, size=(643, 482)))
     block = Reader((tmp_path / "report.html").read_text(encoding="utf-8")).blocks["pair-data-0"]
     assert block["image"] == [321, 241]
@@ -221,7 +221,7 @@ def test_large_images_are_reduced(tmp_path: Path) -> None:
         assert len(zlib.decompress(base64.b64decode(layer["labels"]))) == 321 * 241
 
 
-def test_the_gallery_takes_the_worst_the_best_and_some_between(tmp_path: Path) -> None:
+def test_the_gallery_shows_the_worst_the_best_and_some_between(tmp_path: Path) -> None:
     evaluation, source = make_set(10, size=(64, 48), methods={"noisy": estimate_noisy})
     assert choose_pairs(evaluation, 10) == list(range(10))
     f = [score.segmentation.mean_f.f for score in evaluation.methods[0].scores]
@@ -246,7 +246,7 @@ def test_the_same_evaluation_gives_the_same_bytes(small: tuple[Any, MemorySource
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
-def test_an_old_report_survives_a_failure(
+def test_an_old_report_is_kept_after_a_write_error(
     small: tuple[Any, MemorySource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "report.html"
@@ -259,4 +259,4 @@ def test_an_old_report_survives_a_failure(
     with pytest.raises(StorageError, match="No space left"):
         write_report(path, *small)
     assert path.read_text() == "old"
-    assert [one.name for one in tmp_path.iterdir()] == ["report.html"]
+    assert [file.name for file in tmp_path.iterdir()] == ["report.html"]

@@ -1,4 +1,4 @@
-"""The report in headless Chromium: it opens without a complaint, shows a pair, and draws it in 3D as chosen."""
+"""The report in headless Chromium: it opens without errors, shows a pair, and draws it in 3D."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def choose(page: Page, selector: str, value: str) -> None:
 
 
 def test_plots_and_pictures_are_drawn(page: Page) -> None:
-    page.run("document.getElementById('gallery').scrollIntoView()")  # cards are drawn when they come into view
+    page.run("document.getElementById('gallery').scrollIntoView()")  # Cards are drawn when they scroll into view.
     page.wait("document.querySelectorAll('#cards canvas').length >= 8")
     assert page.run("document.querySelectorAll('#plots svg').length") == 5
     assert page.run("document.querySelectorAll('#plots svg g').length") > 10

@@ -1,4 +1,4 @@
-"""The report's JavaScript gives the colours of `view/colors.py`: its own code, run by Node or else by Chromium."""
+"""The report's JavaScript computes the colours of `view/colors.py`; it runs in Node or Chromium."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LENGTHS = np.linspace(-1.3, 1.3, 53)
 
 
 def run(expression: str, folder: Path) -> Any:
-    """The value of an expression beside the page's functions for colours."""
+    """The value of an expression that may use the page's colour functions."""
     page = resources.files("objectflow.view.report_page")
     parts = [page.joinpath(name).read_text(encoding="utf-8") for name in ("colors.js", "pictures.js")]
     script = "(() => { const NO_FLOW = -32768;\n" + "\n".join(parts) + f"\nreturn {expression}; }})()"
@@ -36,14 +36,14 @@ def run(expression: str, folder: Path) -> Any:
     pytest.skip("neither Node nor Chromium is installed: the report's script is not run")
 
 
-def assert_same(ours: list[list[int]], expected: UInt8Array) -> None:
-    """Equal, but for halves: JavaScript rounds them up and NumPy to even."""
-    found = np.array(ours).reshape(expected.shape)
+def assert_same(colors: list[list[int]], expected: UInt8Array) -> None:
+    """Compare colours up to the rounding of halves, which JavaScript rounds up and NumPy to even."""
+    found = np.array(colors).reshape(expected.shape)
     assert np.abs(found - expected).max() <= 1
     assert (found == expected).mean() > 0.999
 
 
-def test_displacements_in_the_image_and_in_depth_have_the_pictures_colours(tmp_path: Path) -> None:
+def test_colour_maps_equal_those_of_the_pictures(tmp_path: Path) -> None:
     right, down = np.meshgrid(LENGTHS, LENGTHS)
     points = json.dumps(np.stack([right, down], axis=-1).reshape(-1, 2).tolist())
     found = run(
@@ -54,7 +54,7 @@ def test_displacements_in_the_image_and_in_depth_have_the_pictures_colours(tmp_p
     assert_same(found["diverging"], colors.diverging(LENGTHS))
 
 
-def test_flow_is_shown_forward_in_time_in_the_pictures_colours(tmp_path: Path) -> None:
+def test_flow_is_coloured_forward_in_time(tmp_path: Path) -> None:
     flow = np.random.default_rng(0).integers(-60, 61, (3, 200))
     full = 0.05
     call = f"flowColor(kind, {json.dumps(flow.ravel().tolist())}, [], i, 200, {full})"
@@ -68,9 +68,9 @@ def test_flow_is_shown_forward_in_time_in_the_pictures_colours(tmp_path: Path) -
 
 def test_objects_have_the_colours_of_the_overlay(tmp_path: Path) -> None:
     pair = make_pair("a pair", 0, (80, 60))
-    layer = next(one for one in make_pair_block(pair, {}, {})["layers"] if one["method"] == TRUTH)
-    # A photo of this grey neither darkens nor lightens a mask.
+    layer = next(layer for layer in make_pair_block(pair, {}, {})["layers"] if layer["method"] == TRUTH)
+    # This grey level of the photo leaves a mask's brightness unchanged.
     shown = run(f"{json.dumps(layer['colors'])}.map((color) => objectColor(color, [188, 188, 188, 255], 0))", tmp_path)
     assert [tuple(color) for color in shown[1:]] == [colors.object_color(o.label) for o in pair.truth.objects]
     assert len(shown) > 2
-    assert len(set(shown[0])) == 1  # the background is grey
+    assert len(set(shown[0])) == 1  # The background is grey.

@@ -1,4 +1,4 @@
-"""The rerun viewer: what a saved recording holds, read back with rerun's own reader; and everything off."""
+"""The rerun viewer: content of a saved recording, read back with rerun's reader; and the null viewer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.tracker import Tracker
 from objectflow.view.colors import object_color
 from objectflow.view.viewer import NoViewer, open_viewer
-from objectflow.view.viewer_frames import NO_TRACK, ViewerFrame, pair_moments, tracked_moments
+from objectflow.view.viewer_frames import NO_TRACK, ViewerFrame, pair_frames, tracked_frames
 
 CAMERA = Camera(width=32, height=24, fx=30.0, fy=30.0, cx=15.5, cy=11.5)
 
@@ -30,12 +30,12 @@ def frame(time: float) -> RgbdFrame:
 
 
 def make_motion(*, camera_moves: bool = False) -> SceneMotion:
-    """Object 1 came 3 cm from the left and turned by 0.2; object 2 rests."""
+    """Object 1 moved 3 cm to the right and rotated by 0.2 rad; object 2 is static."""
     labels = np.zeros((24, 32), np.int32)
     labels[4:12, 4:14], labels[14:20, 18:28] = 1, 2
     center = np.array([-0.2, -0.1, 0.9])
-    turn = geometry.so3_exp([0.0, 0.0, 0.2])
-    moved = geometry.make_transform(turn, center + np.array([-0.03, 0.0, 0.0]) - turn @ center)
+    rotation = geometry.so3_exp([0.0, 0.0, 0.2])
+    moved = geometry.make_transform(rotation, center + np.array([-0.03, 0.0, 0.0]) - rotation @ center)
     flow = np.zeros((24, 32, 3), np.float32)
     flow[labels == 1] = [-0.03, 0, 0]
     camera = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.05]) if camera_moves else None
@@ -47,25 +47,25 @@ def make_motion(*, camera_moves: bool = False) -> SceneMotion:
     return SceneMotion(labels, flow, objects, camera)
 
 
-def test_the_poses_of_a_pair_are_where_the_object_was_and_is() -> None:
-    before, after = pair_moments(frame(5.0), frame(5.5), make_motion(camera_moves=True))
+def test_a_pair_has_the_objects_previous_and_current_poses() -> None:
+    before, after = pair_frames(frame(5.0), frame(5.5), make_motion(camera_moves=True))
     assert (before.seconds, after.seconds) == (0.0, 0.5)
     np.testing.assert_allclose(after.world_T_camera[:3, 3], [0, 0, 0.05])
     start, pose = before.objects[0].world_T_object, after.objects[0].world_T_object
     np.testing.assert_allclose(start[:3, 3], [-0.23, -0.1, 0.9])
-    # Forward in time it turns the other way about, and the camera has gone on 5 cm.
+    # Forward in time the rotation is inverted, and the camera moved by 5 cm.
     np.testing.assert_allclose(pose[:3, 3], [-0.2, -0.1, 0.95])
     np.testing.assert_allclose(pose[:3, :3], geometry.so3_exp([0, 0, -0.2]), atol=1e-12)
-    assert after.objects[0].way is not None
-    np.testing.assert_allclose(after.objects[0].way, [start[:3, 3], pose[:3, 3]])
+    assert after.objects[0].path is not None
+    np.testing.assert_allclose(after.objects[0].path, [start[:3, 3], pose[:3, 3]])
     assert after.objects[0].caption == "5.8 cm, 11°"  # sqrt(3**2 + 5**2) cm, 0.2 rad
-    assert after.objects[1].way is None
+    assert after.objects[1].path is None
 
 
-def test_tracked_moments_carry_lasting_ids() -> None:
+def test_tracked_frames_have_track_ids() -> None:
     tracker, motion = Tracker(), make_motion()
-    found = tracker.update(5.0, frame(5.5), 5.5, motion)
-    before, after = tracked_moments(tracker, found, (frame(5.0), frame(5.5)), motion, (3, 8), (0.0, 0.5))
+    tracks = tracker.update(5.0, frame(5.5), 5.5, motion)
+    before, after = tracked_frames(tracker, tracks, (frame(5.0), frame(5.5)), motion, (3, 8), (0.0, 0.5))
     assert [obj.id for obj in after.objects] == [tracker.tracks[0].id]
     assert (before.number, after.number) == (3, 8)
     assert after.ids is not None
@@ -74,9 +74,9 @@ def test_tracked_moments_carry_lasting_ids() -> None:
     np.testing.assert_allclose(after.objects[0].world_T_object, tracker.tracks[0].world_T_object[-1])
 
 
-def test_off_means_that_nothing_is_made(tmp_path: Path) -> None:
+def test_the_null_viewer_makes_no_frames(tmp_path: Path) -> None:
     def never() -> Iterable[ViewerFrame]:
-        raise AssertionError("made, though nobody looks")
+        raise AssertionError("frames were made although there is no viewer")
 
     before = set(sys.modules)
     with open_viewer("nothing") as viewer:
@@ -86,7 +86,7 @@ def test_off_means_that_nothing_is_made(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_rerun_names_the_extra(tmp_path: Path) -> None:
+def test_the_error_for_a_missing_rerun_names_the_extra(tmp_path: Path) -> None:
     code = (
         "import sys; sys.modules['rerun'] = None\n"
         "from pathlib import Path\nfrom objectflow.view.viewer import open_viewer\n"
@@ -101,42 +101,42 @@ def test_a_missing_rerun_names_the_extra(tmp_path: Path) -> None:
 
 def read_back(path: Path) -> dict[str, list[Any]]:
     """The chunks of a recording by entity."""
-    chunk = pytest.importorskip("rerun.chunk")
+    module = pytest.importorskip("rerun.chunk")
     found = defaultdict(list)
-    for one in chunk.RrdReader(str(path)).stream():
-        found[one.entity_path].append(one)
+    for chunk in module.RrdReader(str(path)).stream():
+        found[chunk.entity_path].append(chunk)
     return found
 
 
 def column(chunks: list[Any], name: str) -> list[Any]:
-    """The values of a component by frame number, later frames last."""
+    """The values of a component in order of frame number."""
     rows: list[tuple[int, Any]] = []
-    for one in chunks:
-        table = one.to_record_batch()
+    for chunk in chunks:
+        table = chunk.to_record_batch()
         names = [field for field in table.schema.names if field.endswith(name)]
         if names and "frame" in table.schema.names:
             rows += zip(table.column("frame").to_pylist(), table.column(names[0]).to_pylist(), strict=True)
     return [value for _, value in sorted(rows, key=lambda row: row[0]) if value is not None]
 
 
-def test_a_saved_file_holds_everything(tmp_path: Path) -> None:
+def test_a_saved_file_holds_images_points_arrows_and_poses(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     path = tmp_path / "view.rrd"
     with open_viewer("test", save=path) as viewer:
-        viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))
-        viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))  # shown already
-    assert [one.name for one in tmp_path.iterdir()] == ["view.rrd"]
+        viewer.show(lambda: pair_frames(frame(5.0), frame(5.5), make_motion()))
+        viewer.show(lambda: pair_frames(frame(5.0), frame(5.5), make_motion()))  # Has been shown.
+    assert [file.name for file in tmp_path.iterdir()] == ["view.rrd"]
     found = read_back(path)
     timed = {"world/camera", "world/camera/color", "world/camera/depth", "world/camera/labels", "world/motion"}
     timed |= {"world/points/by_object", "world/points/by_flow", "world/objects/001", "world/objects/002"}
     assert {f"/{name}" for name in timed} | {"/world"} <= set(found)
     for name in timed:
-        assert all({"frame", "seconds"} <= set(one.timeline_names) for one in found[f"/{name}"])
+        assert all({"frame", "seconds"} <= set(chunk.timeline_names) for chunk in found[f"/{name}"])
     points = column(found["/world/points/by_object"], "Points3D:positions")
-    assert [len(one) for one in points] == [24 * 32, 24 * 32]  # once a frame
+    assert [len(positions) for positions in points] == [24 * 32, 24 * 32]  # Logged once per frame.
     np.testing.assert_allclose(np.array(points[1])[:, 2], 0.9, atol=1e-6)
     arrows = column(found["/world/motion"], "Arrows3D:vectors")
-    assert [len(one) for one in arrows] == [0, 1]
+    assert [len(vectors) for vectors in arrows] == [0, 1]
     np.testing.assert_allclose(arrows[1][0], [0.03, 0, 0], atol=1e-6)
     poses = column(found["/world/objects/001"], "Transform3D:translation")
     np.testing.assert_allclose(np.array(poses).reshape(2, 3), [[-0.23, -0.1, 0.9], [-0.2, -0.1, 0.9]], atol=1e-6)
@@ -145,27 +145,29 @@ def test_a_saved_file_holds_everything(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.frombuffer(raw, np.uint16).reshape(24, 32), make_motion().labels)
 
 
-def test_an_object_that_is_gone_is_cleared_and_no_other(tmp_path: Path) -> None:
-    """The viewer does not draw a pose where the same time holds a clear of it, in whatever order they came."""
+def test_only_objects_that_disappear_are_cleared(tmp_path: Path) -> None:
+    """rerun hides a pose if a `Clear` is logged at the same time, in any order."""
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     path = tmp_path / "view.rrd"
-    before, after = pair_moments(frame(5.0), frame(5.5), make_motion())
+    before, after = pair_frames(frame(5.0), frame(5.5), make_motion())
     with open_viewer("test", save=path) as viewer:
         viewer.show(lambda: [before, dataclasses.replace(after, objects=after.objects[:1])])
     found = read_back(path)
     assert column(found["/world/objects/001"], "Clear:is_recursive") == []
     assert column(found["/world/objects/002"], "Clear:is_recursive") == [[False]]
-    assert not any("Clear" in name for one in found["/world/objects"] for name in one.to_record_batch().schema.names)
+    assert not any(
+        "Clear" in name for chunk in found["/world/objects"] for name in chunk.to_record_batch().schema.names
+    )
 
 
-def test_arrows_lie_before_what_they_belong_to(tmp_path: Path) -> None:
+def test_arrows_lie_in_front_of_their_objects(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     path = tmp_path / "view.rrd"
     with open_viewer("test", save=path) as viewer:
-        viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))
+        viewer.show(lambda: pair_frames(frame(5.0), frame(5.5), make_motion()))
     found = read_back(path)
     tip = np.add(column(found["/world/motion"], "Arrows3D:origins")[1][0], [0.03, 0, 0])
-    # On the ray through the centre, a centimetre nearer than the nearest of the object's points.
+    # The tip lies on the ray through the centre, 1 cm in front of the object's nearest points.
     center = np.array([-0.2, -0.1, 0.9])
     np.testing.assert_allclose(np.cross(tip, center), 0, atol=1e-6)
     mask = make_motion().labels == 1
@@ -176,11 +178,11 @@ def test_arrows_lie_before_what_they_belong_to(tmp_path: Path) -> None:
     assert geometry.project(np.array([caption], np.float64), CAMERA)[0, 1] < np.nonzero(mask)[0].min()
 
 
-def test_objects_points_have_their_colour_and_the_rest_is_grey(tmp_path: Path) -> None:
+def test_points_of_objects_are_coloured_and_others_are_grey(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     path = tmp_path / "view.rrd"
     with open_viewer("test", save=path) as viewer:
-        viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))
+        viewer.show(lambda: pair_frames(frame(5.0), frame(5.5), make_motion()))
     values = column(read_back(path)["/world/points/by_object"], "Points3D:colors")[1]
     rgba = np.array(values, np.uint32).ravel()
     rgb = np.stack([rgba >> 24, (rgba >> 16) & 255, (rgba >> 8) & 255], -1).astype(int).reshape(24, 32, 3)
@@ -195,7 +197,7 @@ def test_a_failure_leaves_no_file(tmp_path: Path) -> None:
 
     def show_then_fail() -> None:
         with open_viewer("test", save=tmp_path / "view.rrd") as viewer:
-            viewer.show(lambda: pair_moments(frame(5.0), frame(5.5), make_motion()))
+            viewer.show(lambda: pair_frames(frame(5.0), frame(5.5), make_motion()))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

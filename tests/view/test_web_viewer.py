@@ -1,4 +1,4 @@
-"""`objectflow view RESULT --web` in headless Chromium: rerun's web viewer opens and draws what the result holds."""
+"""`objectflow view RESULT --web` in headless Chromium: rerun's web viewer opens and draws the result."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ import pytest
 
 from browser import chromium, find_chromium
 from objectflow import geometry
-from objectflow.cli.demo import DemoTruth
+from objectflow.cli.demo_truth import DemoTruth
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import open_pair
 from objectflow.typing import Int64Array
 from objectflow.view.colors import object_color
 
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
-PATIENCE = 240.0
-"""Seconds that a busy machine may take to compile and to draw; a free one needs ten."""
+TIMEOUT = 240.0
+"""Longest time to compile and draw on a busy machine, seconds; an idle machine needs 10 s."""
 WORLD, LABELS = (slice(70, 620), slice(0, 770)), (slice(462, 630), slice(780, 1100))
-"""Where the layout puts the world and the labels in a window of 1100x660."""
+"""Rows and columns of the 3D view and of the labels in a window of 1100x660."""
 
 
 @pytest.fixture
 def program() -> str:
-    """Chromium; without it, or without rerun, there is nothing to test."""
+    """Path of Chromium; skips the test if Chromium or rerun is missing."""
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     found = find_chromium()
     if found is None:
@@ -41,7 +41,7 @@ def program() -> str:
 
 @pytest.fixture
 def address(program: str, tmp_path: Path) -> Iterator[str]:
-    """The web viewer with the demo's truth as a result; Ctrl-C ends it."""
+    """Address of the web viewer, which serves the demo's truth as a result; Ctrl-C must end it."""
     truth = DemoTruth.read(PAIR / "truth.npz")
     _, curr = open_pair(PAIR)
     objects = tuple(
@@ -59,14 +59,14 @@ def address(program: str, tmp_path: Path) -> Iterator[str]:
         assert words[:1] == ["open"]
         yield words[1]
         server.send_signal(signal.SIGINT)
-        assert server.wait(timeout=PATIENCE) == 0
+        assert server.wait(timeout=TIMEOUT) == 0
     finally:
         server.kill()
         server.wait()
 
 
 def share(picture: Int64Array, color: tuple[int, int, int], part: tuple[slice, slice], *, shaded: bool) -> float:
-    """The share of a part's pixels that have a colour, or a darker shade of it."""
+    """Share of the pixels of a part that have a colour, or (if `shaded`) a darker shade of it."""
     pixels = picture[part].reshape(-1, 3)
     bright = np.maximum(pixels.max(axis=1), 1)
     scale = bright[:, None] / max(color) if shaded else 1
@@ -77,14 +77,14 @@ def share(picture: Int64Array, color: tuple[int, int, int], part: tuple[slice, s
 def test_the_web_viewer_draws_every_object(address: str, program: str, tmp_path: Path) -> None:
     truth = DemoTruth.read(PAIR / "truth.npz").labels
     numbers = range(1, int(truth.max()) + 1)
-    # The labels fill their view's height; beside them it is empty.
+    # The labels fill the height of their view but not its width.
     expected = {number: (truth == number).mean() * 225 / 320 for number in numbers}
     world = labels = dict.fromkeys(numbers, 0.0)
     with chromium(program, tmp_path / "profile") as page:
         page.size(1100, 660)
         page.call("Page.navigate", url=address)
         page.wait("document.readyState === 'complete' && document.querySelector('canvas')")
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT
         while time.monotonic() < end and min(*world.values(), *labels.values()) == 0:
             time.sleep(1.0)
             data = np.frombuffer(page.picture(tmp_path / "web_viewer.png"), np.uint8)

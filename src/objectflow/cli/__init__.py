@@ -1,4 +1,4 @@
-"""The command line: one file a verb, imported only when the verb is used."""
+"""The command line: one module per command, imported only when the command is used."""
 
 from __future__ import annotations
 
@@ -19,43 +19,43 @@ EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 DEBUG = "OBJECTFLOW_DEBUG"
-"""An environment variable: a mistake of objectflow's own shows its traceback."""
+"""Environment variable that makes internal errors show their traceback."""
 
 
-class Verb(Protocol):
-    """A dataclass whose fields are the verb's arguments; `run` does the work."""
+class Command(Protocol):
+    """A dataclass whose fields are the command's arguments."""
 
     def run(self) -> None:
-        """Do it. Raises ObjectflowError for anything the user can put right."""
+        """Execute the command. Raises ObjectflowError for errors that the user can correct."""
 
 
-class VerbEntry(NamedTuple):
-    """Where a verb lives: a module with `EXAMPLES` (lines to paste) and the dataclass of its arguments."""
+class CommandEntry(NamedTuple):
+    """Location of a command: a module with `EXAMPLES` (lines to paste) and the dataclass of its arguments."""
 
     summary: str
     module: str
     dataclass: str
 
 
-VERBS: dict[str, VerbEntry] = {
-    "estimate": VerbEntry(
+COMMANDS: dict[str, CommandEntry] = {
+    "estimate": CommandEntry(
         "moving objects and scene flow of one pair of frames", "objectflow.cli.estimate", "Estimate"
     ),
-    "run": VerbEntry("the same for every consecutive pair of a sequence", "objectflow.cli.run", "Run"),
-    "live": VerbEntry("follow objects while frames come in", "objectflow.cli.live", "Live"),
-    "demo": VerbEntry("the pair that comes with the package, compared with its truth", "objectflow.cli.demo", "Demo"),
-    "generate": VerbEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
-    "check": VerbEntry("verify a data set and say what is in it", "objectflow.cli.check", "Check"),
-    "show": VerbEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
-    "view": VerbEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
-    "check-pair": VerbEntry(
-        "what may be wrong with two frames, in plain words", "objectflow.cli.check_pair", "CheckPair"
+    "run": CommandEntry("the same for all consecutive pairs of a sequence", "objectflow.cli.run", "Run"),
+    "live": CommandEntry("track objects live, from a camera or a recording", "objectflow.cli.live", "Live"),
+    "demo": CommandEntry("the packaged pair, compared with its ground truth", "objectflow.cli.demo", "Demo"),
+    "generate": CommandEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
+    "check": CommandEntry("verify a data set and print its statistics", "objectflow.cli.check", "Check"),
+    "show": CommandEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
+    "view": CommandEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
+    "check-pair": CommandEntry("check two frames for common input errors", "objectflow.cli.check_pair", "CheckPair"),
+    "evaluate": CommandEntry(
+        "score methods on pairs with ground truth: tables and a report", "objectflow.cli.evaluate", "Evaluate"
     ),
-    "evaluate": VerbEntry("methods on pairs with truth: tables and a report", "objectflow.cli.evaluate", "Evaluate"),
-    "export": VerbEntry("a network as an ONNX file", "objectflow.cli.export", "Export"),
-    "train": VerbEntry("train a network by a recipe", "objectflow.cli.train", "Train"),
-    "methods": VerbEntry("every method with one line each", "objectflow.cli.methods", "Methods"),
-    "info": VerbEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
+    "export": CommandEntry("a network as an ONNX file", "objectflow.cli.export", "Export"),
+    "train": CommandEntry("train a network with a recipe", "objectflow.cli.train", "Train"),
+    "methods": CommandEntry("list the methods, one line each", "objectflow.cli.methods", "Methods"),
+    "info": CommandEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
 }
 
 EXAMPLES = """\
@@ -67,10 +67,10 @@ EXAMPLES = """\
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, 2 for bad input, 1 for the disk, 130 if interrupted."""
+    """Run the command line and return its exit code: 0, 2 for bad input, 1 for other errors, 130 if interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:
-        # A batch system's polite end: unfinished folders are removed on the way out, as for Ctrl-C.
+        # Batch systems send SIGTERM first; unfinished folders are then removed, as for Ctrl-C.
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     try:
         return _dispatch(words)
@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _fail("interrupted", EXIT_INTERRUPTED)
     except BrokenPipeError:
-        # The reader of our output (`head`, a pager) has gone. Nothing more can be said, not even at exit.
+        # The reader of the output (`head`, a pager) has exited; the redirection avoids a second error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
     except OSError as error:
@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get(DEBUG):
             raise
-        return _fail(f"internal error: {type(error).__name__}: {error} ({DEBUG}=1 shows where)", EXIT_FAILED)
+        return _fail(f"internal error: {type(error).__name__}: {error} ({DEBUG}=1 shows the traceback)", EXIT_FAILED)
 
 
 def _dispatch(words: list[str]) -> int:
@@ -102,54 +102,54 @@ def _dispatch(words: list[str]) -> int:
 
         print(f"objectflow {__version__}")
         return 0
-    if words[0] not in VERBS:
-        return _fail(f"unknown command {words[0]!r}: choose one of {', '.join(VERBS)}", EXIT_BAD_INPUT)
-    entry = VERBS[words[0]]
+    if words[0] not in COMMANDS:
+        return _fail(f"unknown command {words[0]!r}: choose one of {', '.join(COMMANDS)}", EXIT_BAD_INPUT)
+    entry = COMMANDS[words[0]]
     module = importlib.import_module(entry.module)
     import tyro
 
     if any(word in ("-h", "--help") for word in words[1:]):
         print(f"Examples:\n{module.EXAMPLES}")
-    complaint = io.StringIO()
+    parser_error = io.StringIO()
     try:
-        with contextlib.redirect_stderr(complaint):
-            # A verb may choose its options' defaults by what is typed.
+        with contextlib.redirect_stderr(parser_error):
+            # The defaults of a command's options may depend on other options.
             default = module.default(words[1:]) if hasattr(module, "default") else None
-            verb: Verb = tyro.cli(
+            command: Command = tyro.cli(
                 getattr(module, entry.dataclass), args=words[1:], prog=f"objectflow {words[0]}", default=default
             )
     except SystemExit as error:
         if not error.code:
             return 0
-        return _fail(f"{_unboxed(complaint.getvalue())} (see objectflow {words[0]} --help)", EXIT_BAD_INPUT)
-    verb.run()
+        return _fail(f"{_unboxed(parser_error.getvalue())} (see objectflow {words[0]} --help)", EXIT_BAD_INPUT)
+    command.run()
     return 0
 
 
 def _unboxed(text: str) -> str:
-    """The sentence inside the box that the argument parser draws, up to its first rule."""
+    """The message inside the box drawn by the argument parser, up to the first horizontal rule."""
     lines = []
     for line in text.splitlines()[1:]:
         inner = line.strip("│ ")
         if inner.startswith(("──", "╰")):
             break
         lines.append(inner)
-    # An option that may be left out is a union with None for the parser; nobody who types one means that.
-    noise = r"\[/?bold\]|\{None\}\||- <class 'NoneType'>: .*? \('None',\) "
-    return re.sub(noise, "", " ".join(lines)) or "arguments that cannot be understood"
+    # The parser lists None as an alternative of optional arguments; it cannot be typed.
+    markup = r"\[/?bold\]|\{None\}\||- <class 'NoneType'>: .*? \('None',\) "
+    return re.sub(markup, "", " ".join(lines)) or "invalid arguments"
 
 
 def _overview() -> str:
-    width = max(map(len, VERBS))
-    verbs = "".join(f"  {name:<{width}}  {entry.summary}\n" for name, entry in VERBS.items())
+    width = max(map(len, COMMANDS))
+    commands = "".join(f"  {name:<{width}}  {entry.summary}\n" for name, entry in COMMANDS.items())
     return (
         f"Examples:\n{EXAMPLES}\n"
         "Moving objects, their rigid motions and dense 3D scene flow from two RGB-D frames.\n\n"
-        f"Commands (each has --help):\n{verbs}"
+        f"Commands (each has --help):\n{commands}"
     )
 
 
 def _fail(message: str, code: int) -> int:
-    """One line on stderr, whatever line breaks a message brings from elsewhere."""
+    """Print a message as one line on stderr, without line breaks, and return the exit code."""
     print(f"objectflow: {' '.join(message.split())}", file=sys.stderr)
     return code

@@ -1,4 +1,4 @@
-"""The arguments that the verbs for frames share."""
+"""Arguments shared by the commands that read frames."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from objectflow.errors import ReaderError
 from objectflow.methods.base import Estimator
 from objectflow.methods.registry import DEFAULT_METHOD, load
 from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
+from objectflow.settings import flat, parse_assignments, read_toml
 from objectflow.view.viewer import Viewer, open_viewer
 
 
 def option(metavar: str, default: str = "") -> Any:
-    """Say in `--help` what an option takes and what happens without it, in words."""
+    """Show an option's value and its default in `--help` as text."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})" if default else "")
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraArguments:
-    """How to read images as frames."""
+    """Camera and depth scale of image files."""
 
     camera_file: Annotated[Path | None, option("FILE", "camera.json beside the images")] = None
-    """JSON with width, height, fx, fy, cx, cy and perhaps depth_scale; or fr1, fr2, fr3, the TUM cameras."""
+    """JSON file with width, height, fx, fy, cx, cy and optionally depth_scale; or a TUM camera: fr1, fr2, fr3."""
 
     intrinsics: Annotated[tuple[float, float, float, float] | None, option("FX FY CX CY")] = None
     """Intrinsics in pixels, instead of a camera file."""
 
     depth_scale: Annotated[float | None, option("S", "the camera file's, or 1000; 5000 for a TUM directory")] = None
-    """Depth units a metre."""
+    """Depth units per metre."""
 
     def camera_options(self) -> CameraOptions:
-        """What the readers need."""
+        """The options of the readers."""
         return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale)
 
 
@@ -43,68 +44,79 @@ class MethodArguments(CameraArguments):
     """Camera, method and output."""
 
     method: Annotated[str, option("NAME", DEFAULT_METHOD)] = DEFAULT_METHOD
-    """How to estimate; `objectflow methods` lists the choices."""
+    """The method; `objectflow methods` lists the choices."""
 
     camera: Literal["auto", "static", "moving"] = "auto"
-    """Whether the camera itself moved between the frames; auto decides by the background."""
+    """Whether the camera moved between the frames; auto estimates it from the background."""
 
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
-    """Output folder, new or empty; an earlier result of the same kind may be there."""
+    """Output folder: new, empty, or with an earlier result of the same kind."""
 
     weights: Annotated[str | None, option("FILE|DIR|hf://OWNER/NAME", "the released ones")] = None
     """Weights of a learned method."""
 
     rigid: Annotated[
         Literal["none", "average", "solve", "refine"] | None,
-        option("{none,average,solve,refine}", "average; for rigidmatch solve"),
+        option("{none,average,solve,refine}", "the method's own; `objectflow methods NAME` shows it"),
     ] = None
-    """Flow of a learned method: each pixel's own, its object's mean motion (rigidmatch: the one that fits its matches
-    best), or that aligned with the depth."""
+    """Flow of a learned method: per pixel (none), rigid per object (average; for rigidmatch solve, a fit to its
+    matches), or rigid and aligned to the depth (refine)."""
 
-    device: Annotated[str | None, option("NAME", "cuda where there is one")] = None
-    """Where a learned method computes: cpu, cuda or cuda:N."""
+    device: Annotated[str | None, option("NAME", "cuda if available")] = None
+    """Device of a learned method: cpu, cuda or cuda:N."""
+
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], option("PATH=VALUE", "none")] = ()
+    """A setting of the method, such as postprocess.merge.max_loss=0.1; may be repeated. `objectflow methods NAME`
+    lists all settings."""
+
+    config: Annotated[Path | None, option("FILE.toml", "none")] = None
+    """Settings of the method as a TOML file; --set and the options above override it."""
 
     def method_options(self) -> dict[str, Any]:
-        """What `load` is told beside the name; what was not given is left to the method."""
+        """Keyword arguments for `load`: the file, then `--set`, then the options; the rest is left to the method."""
+        options: dict[str, Any] = {} if self.config is None else flat(read_toml(self.config))
+        options |= parse_assignments(self.set)
         given = {"weights": self.weights, "rigid": self.rigid, "device": self.device}
-        return {"camera": self.camera, **{name: value for name, value in given.items() if value is not None}}
+        if self.camera != "auto":
+            given["camera"] = self.camera
+        return options | {name: value for name, value in given.items() if value is not None}
 
     def estimator(self) -> Estimator:
-        """The method, ready to be called."""
+        """Load the method."""
         return load(self.method, **self.method_options())
 
 
 @dataclass(frozen=True, kw_only=True)
 class TopicArguments:
-    """Which images of a bag."""
+    """Image topics of a bag."""
 
     color_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
-    """Of a bag: where the colour images are."""
+    """Topic of the colour images in a bag."""
 
     depth_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
-    """Of a bag: where the depth images are, registered to colour."""
+    """Topic of the depth images in a bag, registered to colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ViewArguments:
-    """Whether to show what is found while it is found."""
+    """Display of results while they are computed."""
 
     view: bool = False
-    """Show it in rerun's window (extra `view`)."""
+    """Show results in rerun's window (extra `view`)."""
 
     save_view: Annotated[Path | None, option("FILE.rrd", "not saved")] = None
-    """Save what the viewer shows; `rerun FILE.rrd` opens it."""
+    """Save the viewer's recording; `rerun FILE.rrd` opens it."""
 
     def viewer(self, title: str) -> Viewer:
-        """The viewer that was asked for; one that does nothing if none was."""
+        """Open the requested viewer, or a null viewer."""
         return open_viewer(title, window=self.view, save=self.save_view)
 
 
 def open_two(paths: tuple[Path, ...], options: CameraOptions) -> FrameSequence:
-    """The two frames of a pair folder, or of four files.
+    """Open the two frames of a pair folder or of four files.
 
     Raises:
-        ReaderError: neither one path nor four, or a path that is not there.
+        ReaderError: there are neither one nor four paths, or a path does not exist.
     """
     if len(paths) == 1:
         return open_pair(paths[0], options)

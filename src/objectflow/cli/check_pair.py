@@ -1,4 +1,4 @@
-"""`objectflow check-pair`: what may be wrong with two frames, in plain words."""
+"""`objectflow check-pair`: check two frames for common input errors."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import CameraArguments, open_two, option
-from objectflow.cli.output import quiet_libraries
 from objectflow.diagnosis import Level, examine
+from objectflow.runtime.quiet import silence_stderr
 
 EXAMPLES = """\
   objectflow check-pair PAIR_DIR
@@ -24,22 +24,22 @@ MARKS: dict[Level, str] = {"fine": "[green]fine", "note": "[yellow]note", "suspi
 
 @dataclass(frozen=True)
 class CheckPair(CameraArguments):
-    """Look at two RGB-D frames and say what is suspicious.
+    """Check two RGB-D frames for common input errors.
 
-    Units, unregistered depth, ray length, holes, swapped or identical frames, exposure, a moving camera, too much or
-    too little motion. Writes nothing; the exit code is 0 whatever was found.
+    Checks depth units, registration, ray length, holes, swapped or identical frames, exposure, camera motion and the
+    amount of motion. Writes nothing; the exit code is 0 whatever the findings.
     """
 
     paths: Annotated[Positional[tuple[Path, ...]], option("PAIR_DIR | COLOR0 DEPTH0 COLOR1 DEPTH1")]
-    """A pair folder (color0, depth0, color1, depth1, camera.json), or four files; 0 = previous, 1 = current."""
+    """A pair folder (color0, depth0, color1, depth1, camera.json) or four files; 0 = previous, 1 = current."""
 
     def run(self) -> None:
-        """Read, look, print."""
-        with quiet_libraries():
+        """Read, check, print."""
+        with silence_stderr():
             prev, curr = open_two(self.paths, self.camera_options())
             findings = examine(prev, curr)
         table = Table(show_edge=False)
-        for column in ("check", "", "what was seen"):
+        for column in ("check", "", "finding"):
             table.add_column(column, overflow="fold")
         for finding in findings:
             table.add_row(finding.check, MARKS[finding.level], finding.text)

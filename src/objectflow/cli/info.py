@@ -1,4 +1,4 @@
-"""`objectflow info`: what to paste into a bug report."""
+"""`objectflow info`: versions, devices and weights, for bug reports."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OPTIONAL_LIBRARIES = (
 
 @dataclass(frozen=True)
 class Info:
-    """Print the versions, the devices and the weights that objectflow finds."""
+    """Print the installed versions, devices and weights."""
 
     def run(self) -> None:
         """Print the table."""
@@ -62,9 +62,9 @@ def _weights() -> list[str]:
     found = []
     for path in packaged_weights():
         try:
-            _, about = read_header(path)
-            height, width = about.get("size", ("?", "?"))
-            found.append(f"{path.stem} ({path.stat().st_size / 2**20:.1f} MiB, frames brought to {width}x{height})")
+            _, header = read_header(path)
+            height, width = header.get("size", ("?", "?"))
+            found.append(f"{path.stem} ({path.stat().st_size / 2**20:.1f} MiB, frames resized to {width}x{height})")
         except (MethodError, TypeError, ValueError):
             found.append(f"{path.stem} (damaged: install objectflow again)")
     return found

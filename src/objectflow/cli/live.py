@@ -1,4 +1,4 @@
-"""`objectflow live`: follow objects while frames come in."""
+"""`objectflow live`: track objects live, from a camera or a recording."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from tyro.conf import Positional
 
 from objectflow import geometry
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
-from objectflow.cli.output import check_not_below_a_file, quiet_libraries
+from objectflow.cli.output import check_not_below_a_file
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.live import NewestFrame, Step, follow, replay
 from objectflow.readers import open_source
+from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.tracking.tracker import Tracker, TrackerSettings
 from objectflow.tracking.trajectory_files import write_tracks
-from objectflow.view.viewer_frames import tracked_moments
+from objectflow.view.viewer_frames import tracked_frames
 
 EXAMPLES = """\
   objectflow live realsense
@@ -36,35 +37,35 @@ EXAMPLES = """\
 
 REALSENSE = "realsense"
 HISTORY = 100_000
-"""Poses that are kept of each object for `--out`: an hour at the rate of the fastest method."""
+"""Number of poses kept per object for `--out`: one hour at the rate of the fastest method."""
 
 
 @dataclass(frozen=True)
 class Live(ViewArguments, TopicArguments, MethodArguments):
-    """Follow objects between the newest frames, as fast as the method can; frames that come meanwhile are dropped.
+    """Track objects on the newest frames; frames that arrive during an estimate are dropped.
 
-    Prints a line an estimate: the objects' ids, speeds and turns. Ctrl-C ends it. With --out, trajectories are written
-    at the end.
+    Prints one line per estimate with the objects' ids, speeds and rotation rates. Ctrl-C stops. With --out,
+    trajectories are written at the end.
     """
 
     source: Annotated[Positional[str], option("realsense | realsense:FILE | SOURCE")]
-    """A RealSense camera, a recording of its driver (.bag, .db3), or whatever `objectflow run` reads; recordings are
-    played at their own speed."""
+    """A RealSense camera, a recording of its driver (.bag, .db3), or any source of `objectflow run`; recordings are
+    played in real time."""
 
     min_gap: float = 0.3
-    """Seconds between two compared frames at least: slow things must have had the time to move."""
+    """Smallest time between two compared frames, seconds, so that slow objects move measurably."""
 
     speed: float = 1.0
-    """Of a recording: 2 plays twice as fast."""
+    """Playback speed of a recording; 2 is twice as fast."""
 
     loop: bool = False
-    """Of a recording: start again at its end."""
+    """Restart a recording at its end."""
 
     seconds: Annotated[float | None, option("S", "until the source ends")] = None
-    """Stop after so much of the source's time."""
+    """Stop after this time of the source, seconds."""
 
     def run(self) -> None:
-        """Open, follow, print."""
+        """Open, track, print."""
         if not self.speed > 0 or not self.min_gap >= 0 or (self.seconds is not None and not self.seconds > 0):
             raise ReaderError("--speed and --seconds must be above 0, --min-gap at least 0")
         if self.out is not None:
@@ -72,27 +73,27 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
         estimator = self.estimator()
         tracker = Tracker(TrackerSettings(history=2 if self.out is None else HISTORY))
         steps: list[tuple[float, float, int]] = []
-        with quiet_libraries():
+        with silence_stderr():
             source = self._open()
         number = 0
-        with self.viewer(Path(self.source).stem) as viewer, NewestFrame(source) as latest, suppress(KeyboardInterrupt):
-            began: float | None = None
-            for step in follow(latest, estimator, tracker, min_gap=self.min_gap):
-                began = step.times[0] if began is None else began
+        with self.viewer(Path(self.source).stem) as viewer, NewestFrame(source) as newest, suppress(KeyboardInterrupt):
+            start: float | None = None
+            for step in follow(newest, estimator, tracker, min_gap=self.min_gap):
+                start = step.times[0] if start is None else start
                 print(step_line(step), flush=True)
                 numbers = (number, number := number + step.dropped + 1)
-                seconds = (step.times[0] - began, step.times[1] - began)
+                seconds = (step.times[0] - start, step.times[1] - start)
                 frames = (step.prev, step.curr)
-                viewer.show(partial(tracked_moments, tracker, step.tracks, frames, step.motion, numbers, seconds))
+                viewer.show(partial(tracked_frames, tracker, step.tracks, frames, step.motion, numbers, seconds))
                 steps = [*steps[-999:], (step.latency, step.times[1] - step.times[0], step.dropped)]
-                if self.seconds is not None and step.times[1] - began >= self.seconds:
+                if self.seconds is not None and step.times[1] - start >= self.seconds:
                     break
         if not steps:
             raise ReaderError(f"{self.source}: no two frames at least {self.min_gap:g} s apart")
         latency, gap = (statistics.median(values) for values in zip(*[(a, b) for a, b, _ in steps], strict=True))
         dropped = sum(count for _, _, count in steps)
         print(
-            f"{len(steps)} estimates, median latency {latency:.2f} s, one every {gap:.2f} s; {dropped} frames dropped"
+            f"{len(steps)} estimates, median latency {latency:.2f} s, interval {gap:.2f} s; {dropped} frames dropped"
         )
         if self.out is not None:
             with files.new_folder(self.out) as folder:
@@ -112,17 +113,16 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
 
 
 def step_line(step: Step) -> str:
-    """One line: the time, and each object's id, speed and turn."""
+    """Format an estimate as one line: the time, and each object's id, speed and rotation rate."""
     seconds = step.times[1] - step.times[0]
     parts = []
     for obj in step.motion.objects:
         if obj.id in step.tracks:
             camera = np.eye(4) if step.motion.camera_motion is None else step.motion.camera_motion
-            # Forward in time, and as if the camera had stood still.
-            there = geometry.transform(geometry.inverse(camera) @ obj.prev_T_curr, obj.center)
-            speed = 100 * float(np.linalg.norm(obj.center - there)) / seconds
-            turned = geometry.inverse(camera)[:3, :3] @ obj.prev_T_curr[:3, :3]
-            turn = float(np.degrees(geometry.rotation_angle(turned))) / seconds
-            parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {turn:.0f} deg/s")
-    what = ", ".join(parts) or "nothing moves"
-    return f"{step.times[1]:.2f} s  ({step.latency:.2f} s late, {step.dropped} dropped)  {what}"
+            # The object's motion relative to the static background.
+            relative = geometry.inverse(camera) @ obj.prev_T_curr
+            speed = 100 * float(np.linalg.norm(obj.center - geometry.transform(relative, obj.center))) / seconds
+            rate = float(np.degrees(geometry.rotation_angle(relative[:3, :3]))) / seconds
+            parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {rate:.0f} deg/s")
+    objects = ", ".join(parts) or "no motion"
+    return f"{step.times[1]:.2f} s  (latency {step.latency:.2f} s, {step.dropped} dropped)  {objects}"

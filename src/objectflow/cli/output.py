@@ -1,10 +1,9 @@
-"""Where results go, and the tables that are printed."""
+"""Output folders of results, and printed tables."""
 
 from __future__ import annotations
 
 import math
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
@@ -25,17 +24,17 @@ RESULT_FILES = frozenset({"labels.png", "scene_flow.npy", "objects.json", "overl
 
 @contextmanager
 def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
-    """Open the folder of a result before the work starts, so that a disk that refuses is noticed first.
+    """Open the folder of a result before the work starts, so that storage errors are reported early.
 
     Args:
-        out: the folder asked for; an earlier result there is replaced. None: a dated one under `objectflow_out`.
+        out: the requested folder, in which an earlier result is replaced; None for a dated one in `objectflow_out`.
 
     Yields:
-        The temporary folder to fill and the name that it will have.
+        The temporary folder to fill and its final path.
 
     Raises:
-        ResultError: the folder holds anything but an earlier result.
-        StorageError: the disk refused.
+        ResultError: the folder contains anything but an earlier result.
+        StorageError: reading or writing failed.
     """
     path = _dated_folder() if out is None else out
     check_not_below_a_file(path)
@@ -45,23 +44,8 @@ def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
         link_latest(path)
 
 
-@contextmanager
-def quiet_libraries() -> Iterator[None]:
-    """Keep image libraries from writing to stderr on their own; what is wrong with a file is raised anyway."""
-    sys.stderr.flush()
-    kept = os.dup(2)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
-
-
 def write_result(folder: Path, curr: RgbdFrame, motion: SceneMotion) -> None:
-    """Fill a folder with the five files of a result."""
+    """Write the five files of a result into a folder."""
     from objectflow.view import write_pictures
 
     motion.write_into(folder)
@@ -69,10 +53,10 @@ def write_result(folder: Path, curr: RgbdFrame, motion: SceneMotion) -> None:
 
 
 def check_not_below_a_file(path: Path) -> None:
-    """Check that a folder can have this name.
+    """Check that no parent of a folder is a file.
 
     Raises:
-        ResultError: a part of the path is a file.
+        ResultError: a parent is a file.
     """
     for parent in path.parents:
         if parent.exists():
@@ -82,7 +66,7 @@ def check_not_below_a_file(path: Path) -> None:
 
 
 def link_latest(path: Path) -> None:
-    """Point `latest`, beside a result, at it. A file system without links does without."""
+    """Link `latest` in the parent folder to a result, if the file system supports links."""
     link = path.parent / "latest"
     temporary = path.parent / f".latest.{os.getpid()}.tmp"
     with suppress(OSError):
@@ -93,7 +77,7 @@ def link_latest(path: Path) -> None:
 
 
 def print_objects(motion: SceneMotion) -> None:
-    """Print the table of a result's objects and what else it says."""
+    """Print the objects of a result as a table, then its camera motion, method and run time."""
     console = Console(highlight=False)
     if motion.objects:
         table = Table(box=None, pad_edge=False, header_style="bold")
@@ -116,7 +100,7 @@ def print_objects(motion: SceneMotion) -> None:
 
 
 def describe_camera(motion: SceneMotion) -> str:
-    """The camera's own motion in words."""
+    """The camera motion of a result in words."""
     if motion.camera_motion is None:
         return "camera static"
     from objectflow import geometry
@@ -127,7 +111,7 @@ def describe_camera(motion: SceneMotion) -> str:
 
 
 def _is_result(path: Path) -> bool:
-    """Whether a folder holds a result and nothing else: only such a folder may be replaced."""
+    """Whether a folder contains a result and nothing else, so that it may be replaced."""
     if not path.is_dir():
         return False
     names = {file.name for file in path.iterdir()}

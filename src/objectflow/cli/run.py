@@ -1,10 +1,8 @@
-"""`objectflow run`: every consecutive pair of a sequence, continued by the same command if it was cut off."""
+"""`objectflow run`: every consecutive pair of a sequence; the same command continues an interrupted run."""
 
 from __future__ import annotations
 
-import fcntl
 import itertools
-import json
 import math
 import shutil
 import statistics
@@ -23,18 +21,22 @@ from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow import __version__
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
-from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, quiet_libraries, write_result
-from objectflow.errors import ReaderError, ResultError, StorageError
+from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
+from objectflow.errors import ReaderError, ResultError
 from objectflow.frame import check_pair
-from objectflow.methods.base import Estimator
+from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource, open_source
+from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
+from objectflow.storage.locked_folder import FolderKind, locked_folder
 from objectflow.tracking.tracker import Tracker
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
-from objectflow.view.viewer_frames import RunMoments
+from objectflow.view.run_frames import RunFrames
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
@@ -45,14 +47,21 @@ EXAMPLES = """\
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
-SETTINGS = "settings.json"
 SUMMARY = "summary.csv"
-LONGEST_TABLE = 40
+MAX_TABLE_ROWS = 40
+"""Maximum number of rows that are printed; a longer table shows only pairs with motion."""
+RUN_FOLDER = FolderKind(
+    error=ResultError,
+    content="a run",
+    foreign="is no earlier run",
+    busy="another run is writing there",
+    target="output folder",
+)
 
 
 @dataclass(frozen=True)
 class Run(ViewArguments, TopicArguments, MethodArguments):
-    """Estimate every consecutive pair of a sequence: one result folder a pair, a table, and a trajectory an object.
+    """Estimate every consecutive pair of a sequence: a result folder per pair, a table, and a trajectory per object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
     (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png), or a ROS 1 bag, a ROS 2 bag or an MCAP file.
@@ -60,47 +69,49 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
     """
 
     source: Annotated[Positional[Path], option("SOURCE")]
-    """The sequence; its kind is found by looking."""
+    """The sequence; its kind is detected."""
 
     every: int = 1
     """Take every N-th frame."""
 
     dt: Annotated[float | None, option("SECONDS", "every frame")] = None
-    """Take a frame every so many seconds instead; things must have moved between two frames."""
+    """Take a frame every SECONDS instead; objects must have moved between two frames."""
 
     def run(self) -> None:
-        """Read, estimate and write pair by pair."""
+        """Read, estimate and write, pair by pair."""
         estimator = self.estimator()
-        with quiet_libraries(), warnings.catch_warnings(record=True) as caught:
+        with silence_stderr(), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", CutOffWarning)
             sequence = self._open()
             pairs = self._pairs(sequence)
-            # A source whose first frames are bad must leave no output folder behind.
+            # The first pair is checked before the output folder is created.
             check_pair(*(sequence[index] for index in pairs[0]))
         for warning in caught:
             print(f"note: {warning.message}")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
-        with self.viewer(self.source.stem) as viewer, _claim(out, self._settings(sequence, estimator)):
+        with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
             if self.out is None:
                 link_latest(out)
             todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
             console = Console(stderr=True)
             with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
                 task = progress.add_task("pairs", total=len(pairs), completed=len(pairs) - len(todo))
-                last, shown = None, RunMoments(sequence)
+                last: tuple[int, PreparedFrame] | None = None
+                shown = RunFrames(sequence)
                 for prev_index, curr_index in pairs:
                     result = out / _name((prev_index, curr_index))
                     if not result.is_dir():
-                        with quiet_libraries():
+                        with silence_stderr():
                             prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
                             curr = sequence[curr_index]
-                        check_pair(prev, curr)
+                        # Reuse what the last pair computed on its current frame.
+                        pair = FramePair(prev, curr)
                         with files.new_folder(result) as folder:
-                            write_result(folder, curr, estimator(prev, curr))
-                        last = (curr_index, curr)
+                            write_result(folder, curr, estimate_pair(estimator, pair))
+                        last = (curr_index, pair.curr)
                         progress.advance(task)
                     viewer.show(partial(shown.read, result, prev_index, curr_index))
-            with quiet_libraries():
+            with silence_stderr():
                 count = _track(out, pairs, sequence)
             _summarise(out, pairs, skipped=len(pairs) - len(todo))
             if count:
@@ -113,7 +124,7 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
         )
 
     def _pairs(self, sequence: FrameSource) -> list[tuple[int, int]]:
-        """Consecutive pairs of the frames that are taken."""
+        """Pairs of consecutive selected frames."""
         if self.every < 1 or (self.dt is not None and not self.dt > 0):
             raise ReaderError("--every must be at least 1 and --dt above 0")
         if self.dt is not None and self.every > 1:
@@ -127,13 +138,13 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
         return list(itertools.pairwise(indices))
 
     def _by_time(self, sequence: FrameSource, dt: float) -> list[int]:
-        """The first frame, and each that is at least `dt` seconds after the one before."""
+        """The first frame, and every frame at least `dt` seconds after the last selected one."""
         taken, last = [], -math.inf
         for index in range(len(sequence)):
             time = sequence.timestamp(index)
             if time is None:
                 raise ReaderError(f"{self.source} has no times: use --every instead of --dt")
-            # A camera's times jitter: half a millisecond early is in time.
+            # Half a millisecond of tolerance for the jitter of timestamps.
             if time >= last + dt - 0.0005:
                 taken.append(index)
                 last = time
@@ -158,49 +169,23 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
 
 
 @contextmanager
-def _claim(out: Path, settings: dict[str, Any]) -> Iterator[None]:
-    """Make the output folder, or take up an earlier run's with the same settings; hold it for this process.
-
-    Raises:
-        ResultError: the folder holds something else, other settings, or another process writes there.
-        StorageError: the disk refused.
-    """
+def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
+    """Create the output folder, or continue an earlier run with the same settings; see `locked_folder`."""
     check_not_below_a_file(out)
     if out.exists() and not out.is_dir():
         raise ResultError(f"{out} is a file, not a folder: name another output folder")
-    if not out.is_dir() or not any(out.iterdir()):
-        with files.new_folder(out) as folder:
-            files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-    _check_settings(out, settings)
-    try:
-        with open(out / SETTINGS) as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+
+    def check(earlier: dict[str, Any]) -> None:
+        for name, value in settings.items():
+            if earlier.get(name) != value:
                 raise ResultError(
-                    f"{out}: another run is writing there: wait, or name another output folder"
-                ) from None
-            for leftover in out.glob(".pair_*.tmp"):
-                shutil.rmtree(leftover, ignore_errors=True)
-            yield
-    except OSError as error:
-        raise StorageError(f"cannot write {out}: {error.strerror or error}") from error
+                    f"{out} was made with {name} = {earlier.get(name)}, now it is {value}: name another output folder"
+                )
 
-
-def _check_settings(out: Path, settings: dict[str, Any]) -> None:
-    try:
-        earlier = json.loads((out / SETTINGS).read_text())
-    except FileNotFoundError:
-        raise ResultError(f"{out} exists and is no earlier run: name another output folder") from None
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{out / SETTINGS}: cannot be read: {error}") from error
-    if not isinstance(earlier, dict):
-        raise ResultError(f"{out / SETTINGS}: not the settings of a run")
-    for name, value in settings.items():
-        if earlier.get(name) != value:
-            raise ResultError(
-                f"{out} was made with {name} = {earlier.get(name)}, now it is {value}: name another output folder"
-            )
+    with locked_folder(out, settings, RUN_FOLDER, check=check):
+        for leftover in out.glob(".pair_*.tmp"):
+            shutil.rmtree(leftover, ignore_errors=True)
+        yield
 
 
 def _name(pair: tuple[int, int]) -> str:
@@ -208,14 +193,14 @@ def _name(pair: tuple[int, int]) -> str:
 
 
 def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> int:
-    """Link the objects of all pairs and write their trajectories; return how many there are.
+    """Link the objects of all pairs, write their trajectories and return their number.
 
-    Read back from the results, so that a continued run links as an undisturbed one does.
+    The results are read back, so that a continued run gives the same trajectories as an uninterrupted one.
     """
     tracker = Tracker()
     times = {index: sequence.timestamp(index) for pair in pairs for index in pair}
     for prev_index, curr_index in pairs:
-        # Frame numbers where a source has no times.
+        # Frame numbers serve as times where the source has none.
         prev_time, time = (
             float(index) if None in times.values() else float(times[index] or 0) for index in (prev_index, curr_index)
         )
@@ -226,12 +211,12 @@ def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> in
 
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
-    """Write and print one line a pair, read back from the results, so that a continued run says the same."""
+    """Write and print one line per pair, read back from the results, so that a continued run prints the same."""
     columns = ("prev", "curr", "objects", "moving", "largest motion cm", "camera cm", "seconds")
     rows = [_row(pair, SceneMotion.load(out / _name(pair))) for pair in pairs]
     lines = [",".join(name.replace(" ", "_") for name in columns)] + [",".join(row) for row in rows]
     files.write_text(out / SUMMARY, "\n".join(lines) + "\n")
-    shown = rows if len(rows) <= LONGEST_TABLE else [row for row in rows if row[3] != "0"][:LONGEST_TABLE]
+    shown = rows if len(rows) <= MAX_TABLE_ROWS else [row for row in rows if row[3] != "0"][:MAX_TABLE_ROWS]
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in columns:
         table.add_column(name, justify="right")

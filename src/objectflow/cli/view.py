@@ -15,12 +15,13 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import CameraArguments, open_two, option
-from objectflow.cli.output import quiet_libraries
 from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
+from objectflow.runtime.quiet import silence_stderr
+from objectflow.view.run_frames import RunFrames
 from objectflow.view.viewer import open_viewer
-from objectflow.view.viewer_frames import RunMoments, ViewerFrame, pair_moments
+from objectflow.view.viewer_frames import ViewerFrame, pair_frames
 
 EXAMPLES = """\
   objectflow view result --frames PAIR_DIR
@@ -39,18 +40,18 @@ PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
 class View(CameraArguments):
     """Show frames, masks, motions and points in 3D and over time, in rerun's window, in a browser or as a file.
 
-    PATH is a result of `objectflow estimate` (then say with --frames what it was made from), a folder of `objectflow
-    run` or one pair in it, or a data set of `objectflow generate`.
+    PATH is a result of `objectflow estimate` (which needs --frames), a folder of `objectflow run` or one pair in it,
+    or a data set of `objectflow generate`.
     """
 
     path: Annotated[Positional[Path], option("RESULT_DIR | RUN_DIR | DATASET")]
-    """What to show; its kind is found by looking."""
+    """What to show; its kind is detected."""
 
     frames: Annotated[tuple[Path, ...] | None, option("PAIR_DIR | COLOR0 DEPTH0 COLOR1 DEPTH1 | SOURCE")] = None
-    """What a result was made from, as it was given to `estimate`; of a run only if its source was moved."""
+    """The frames of a result, as given to `estimate`; for a run only if its source was moved."""
 
     key: Annotated[str | None, option("KEY", "the first row")] = None
-    """Of a data set: the pair's key, or the sequence's name."""
+    """Key of a pair or name of a sequence in a data set."""
 
     save: Annotated[Path | None, option("FILE.rrd", "a window")] = None
     """Write a file instead of opening a window; `rerun FILE.rrd` opens it."""
@@ -59,15 +60,15 @@ class View(CameraArguments):
     """Serve the web viewer instead of opening a window, until Ctrl-C."""
 
     def run(self) -> None:
-        """Find out what it is, open the viewer, fill it."""
-        with quiet_libraries():
+        """Detect the kind, open the viewer, show."""
+        with silence_stderr():
             make = self._find()
         window = self.save is None and not self.web
         with open_viewer(self.path.resolve().name, window=window, save=self.save, web=self.web) as viewer:
             viewer.show(make)
             address = getattr(viewer, "address", None)
             if address is not None:
-                print(f"open {address}\nCtrl-C ends it", flush=True)
+                print(f"open {address}\nCtrl-C stops", flush=True)
                 with suppress(KeyboardInterrupt):
                     while True:
                         time.sleep(3600)
@@ -81,12 +82,12 @@ class View(CameraArguments):
         if (path / "manifest.json").is_file() or any(path.glob("*-of-*.parquet")):
             return self._rows()
         if self.key is not None:
-            raise DatasetError(f"{path}: --key is for data sets, and this is none")
+            raise DatasetError(f"{path}: --key is for data sets only")
         pair = PAIR_NAME.fullmatch(path.resolve().name)
         if (path / "objects.json").is_file():
             if pair and self.frames is None and (path.resolve().parent / SETTINGS).is_file():
                 source = self._source(path.resolve().parent)
-                return partial(RunMoments(source).read, path, int(pair[1]), int(pair[2]))
+                return partial(RunFrames(source).read, path, int(pair[1]), int(pair[2]))
             return self._pair()
         if (path / SETTINGS).is_file():
             return self._run()
@@ -98,30 +99,30 @@ class View(CameraArguments):
     def _pair(self) -> Callable[[], Iterable[ViewerFrame]]:
         if self.frames is None:
             raise ReaderError(
-                f"{self.path}: a result does not hold its frames: add --frames and what was given to "
-                "`objectflow estimate` (a pair folder or four files)"
+                f"{self.path}: a result does not hold its frames: add --frames with the pair folder or the four files "
+                "that were given to `objectflow estimate`"
             )
         prev, curr = open_two(self.frames, self.camera_options())
-        return partial(pair_moments, prev, curr, SceneMotion.load(self.path))
+        return partial(pair_frames, prev, curr, SceneMotion.load(self.path))
 
     def _run(self) -> Callable[[], Iterable[ViewerFrame]]:
-        names = sorted(
+        pairs = sorted(
             (int(match[1]), int(match[2]), folder)
             for folder in self.path.iterdir()
             if (match := PAIR_NAME.fullmatch(folder.name))
         )
-        if not names:
-            raise ResultError(f"{self.path}: a run without a finished pair")
-        moments = RunMoments(self._source(self.path))
+        if not pairs:
+            raise ResultError(f"{self.path}: the run has no finished pair")
+        run_frames = RunFrames(self._source(self.path))
 
         def make() -> Iterator[ViewerFrame]:
-            for prev, curr, folder in names:
-                yield from moments.read(folder, prev, curr)
+            for prev, curr, folder in pairs:
+                yield from run_frames.read(folder, prev, curr)
 
         return make
 
     def _source(self, run: Path) -> FrameSource:
-        """The frames of a run, read as it read them."""
+        """Open the frames of a run with the run's settings."""
         try:
             settings = json.loads((run / SETTINGS).read_text(encoding="utf-8"))
             source, topics = Path(settings["source"]), settings.get("topics") or [None, None]
@@ -130,17 +131,17 @@ class View(CameraArguments):
             raise ResultError(f"{run / SETTINGS}: not the settings of a run: {error!r}") from error
         if self.frames is not None:
             if len(self.frames) != 1:
-                raise ReaderError(f"--frames of a run is its source, one path, not {len(self.frames)}")
+                raise ReaderError(f"--frames of a run must be one path, its source, not {len(self.frames)}")
             source = self.frames[0]
         if not source.exists():
-            raise ReaderError(f"{source}: the run's frames are not there any more: say where with --frames SOURCE")
+            raise ReaderError(f"{source}: the run's frames do not exist any more: give their path by --frames SOURCE")
         return open_source(source, options, color_topic=topics[0], depth_topic=topics[1])
 
     def _rows(self) -> Callable[[], Iterable[ViewerFrame]]:
-        # pyarrow takes its time, and only data sets need it.
+        # pyarrow is slow to import, and only data sets need it.
         from objectflow.dataset.manifest import Manifest
         from objectflow.dataset.shards import open_pairs, open_sequences
-        from objectflow.view.truth_frames import row_moments, sequence_moments
+        from objectflow.view.truth_frames import pair_row_frames, sequence_frames
 
         known = list[str]()
         for part in Manifest.read(self.path).parts.values():
@@ -151,17 +152,17 @@ class View(CameraArguments):
                 known += (keys := pairs.keys())
                 key = self.key or keys[0]
                 if key in keys:
-                    return partial(row_moments, pairs[keys.index(key)])
+                    return partial(pair_row_frames, pairs[keys.index(key)])
             else:
                 frames = open_sequences(self.path, part.split)
                 names = [name.split("/")[0] for name in frames.keys()]  # noqa: SIM118 - not a mapping
                 known += dict.fromkeys(names)
                 key = self.key or names[0]
                 if key in names:
-                    return partial(sequence_moments, [frames[i] for i, name in enumerate(names) if name == key])
+                    return partial(sequence_frames, [frames[i] for i, name in enumerate(names) if name == key])
         if not known:
             raise DatasetError(f"{self.path}: the data set is empty")
-        raise DatasetError(f"{self.path}: no row {self.key!r}; there is {known[0]} to {known[-1]}")
+        raise DatasetError(f"{self.path}: no row {self.key!r}; rows: {known[0]} to {known[-1]}")
 
 
 def _options(settings: dict[str, Any]) -> CameraOptions:

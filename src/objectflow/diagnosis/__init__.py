@@ -1,4 +1,4 @@
-"""What may be wrong with two frames before any method looks at them: `objectflow check-pair`."""
+"""Checks of two frames for common input errors, before any method runs: `objectflow check-pair`."""
 
 from objectflow.diagnosis.finding import Finding, Level
 from objectflow.diagnosis.pair import examine

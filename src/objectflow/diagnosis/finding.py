@@ -1,4 +1,4 @@
-"""One thing that was looked at, and what was seen."""
+"""The result of one check."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ Level = Literal["fine", "note", "suspicious"]
 
 
 class Finding(NamedTuple):
-    """What one check says.
+    """The result of one check.
 
     Attributes:
-        check: what was looked at, in a word or two.
-        level: "fine", "note" (worth knowing), or "suspicious" (results will suffer).
-        text: what was seen, with its numbers, and what to do about it.
+        check: name of the check, one to three words.
+        level: "fine", "note" (worth knowing) or "suspicious" (results will suffer).
+        text: the observation with its numbers, and the remedy if there is one.
     """
 
     check: str

@@ -1,4 +1,4 @@
-"""Whether colour and depth lie on the same pixels: where depth steps, colour should change too."""
+"""Registration of depth to colour, measured by how well depth edges coincide with colour edges."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from objectflow.frame import RgbdFrame
 from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
 MIN_EDGES = 150
-"""Pixels on depth edges; with fewer nothing can be told."""
+"""Minimum number of pixels on depth edges for an estimate."""
 
 
 class Offset(NamedTuple):
-    """Where colour's edges lie, seen from depth's.
+    """Shift of depth that aligns its edges with those of colour.
 
     Attributes:
-        du, dv: pixels to shift depth by, right and down, to fit the colour.
-        gain: how much more colour changes under the shifted edges than under the edges as they are; 1 = no more.
-        prominence: how far the best shift stands out from all others, in their standard deviations.
+        du, dv: shift in pixels, right and down.
+        gain: ratio of the colour gradient on the shifted edges to that on the original edges.
+        prominence: z-score of the best shift's gradient among all shifts.
     """
 
     du: int
@@ -29,24 +29,24 @@ class Offset(NamedTuple):
     prominence: float
 
 
-def estimate_offset(frame: RgbdFrame, *, reach: float = 0.04) -> Offset | None:
-    """The shift of depth under which its steps fall on changes of colour.
+def estimate_offset(frame: RgbdFrame, *, max_shift: float = 0.04) -> Offset | None:
+    """Find the shift of depth that maximises the colour gradient on the depth edges.
 
     Args:
         frame: colour and depth to compare.
-        reach: greatest shift, as a share of the image's width.
+        max_shift: search range, as a share of the image width.
 
     Returns:
         The best shift, or None if there are too few depth edges.
     """
-    limit = max(3, round(reach * frame.camera.width))
-    change = _color_change(frame.color)
+    limit = max(3, round(max_shift * frame.camera.width))
+    gradients = _color_gradients(frame.color)
     edges = [_inner(edge, limit) for edge in _depth_edges(frame.depth)]
     if sum(len(rows) for rows, _ in edges) < MIN_EDGES:
         return None
     shifts = np.arange(-limit, limit + 1)
     score = np.zeros((len(shifts), len(shifts)))
-    for (rows, columns), gradient in zip(edges, change, strict=True):
+    for (rows, columns), gradient in zip(edges, gradients, strict=True):
         for i, dv in enumerate(shifts):
             score[i] += gradient[(rows + dv)[:, None], columns[:, None] + shifts].sum(axis=0)
     best = np.unravel_index(score.argmax(), score.shape)
@@ -59,30 +59,29 @@ def estimate_offset(frame: RgbdFrame, *, reach: float = 0.04) -> Offset | None:
     )
 
 
-def alignment(frame: RgbdFrame) -> float:
-    """Mean change of colour, 0..1, on the steps of depth as they lie; NaN without any."""
-    change = _color_change(frame.color)
-    values = [gradient[edge] for edge, gradient in zip(_depth_edges(frame.depth), change, strict=True)]
-    joined = np.concatenate(values)
-    return float(joined.mean()) if len(joined) else float("nan")
+def edge_alignment(frame: RgbdFrame) -> float:
+    """Mean colour gradient, 0..1, on the depth edges; NaN if there are none."""
+    gradients = _color_gradients(frame.color)
+    values = [gradient[edge] for edge, gradient in zip(_depth_edges(frame.depth), gradients, strict=True)]
+    on_edges = np.concatenate(values)
+    return float(on_edges.mean()) if len(on_edges) else float("nan")
 
 
-def _color_change(color: UInt8Array) -> tuple[Float32Array, Float32Array]:
-    """How much colour changes along x and along y, 0..1: beyond a strong edge, stronger does not count for more."""
+def _color_gradients(color: UInt8Array) -> tuple[Float32Array, Float32Array]:
+    """Colour gradient along x and along y, 0..1, saturated at the 95th percentile."""
     lab = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2LAB), (0, 0), 1.0).astype(np.float32)
-    along = [np.abs(cv2.Sobel(lab, cv2.CV_32F, dx, dy, scale=1 / 8)).max(axis=2) for dx, dy in ((1, 0), (0, 1))]
-    limit = max(2.0, float(np.percentile(np.maximum(*along), 95)))
-    return tuple(np.minimum(one / limit, 1).astype(np.float32) for one in along)
+    gradients = [np.abs(cv2.Sobel(lab, cv2.CV_32F, dx, dy, scale=1 / 8)).max(axis=2) for dx, dy in ((1, 0), (0, 1))]
+    limit = max(2.0, float(np.percentile(np.maximum(*gradients), 95)))
+    return tuple(np.minimum(gradient / limit, 1).astype(np.float32) for gradient in gradients)
 
 
 def _depth_edges(depth: Float32Array) -> tuple[BoolMask, BoolMask]:
-    """Pixels on the near side of a step along x, and along y. Steps beside missing depth are left out: they wander."""
+    """Pixels on the near side of a depth step along x and along y, without the unreliable edges of missing depth."""
     out = []
     for axis in (1, 0):
-        ahead, behind = np.roll(depth, -1, axis), np.roll(depth, 1, axis)
         step = np.zeros(depth.shape, bool)
-        for other in (ahead, behind):
-            step |= (depth > 0) & (other > 0) & (other - depth > 0.04 * depth + 0.01)
+        for neighbour in (np.roll(depth, -1, axis), np.roll(depth, 1, axis)):
+            step |= (depth > 0) & (neighbour > 0) & (neighbour - depth > 0.04 * depth + 0.01)
         step[:, [0, -1]] = False
         step[[0, -1]] = False
         out.append(step)

@@ -1,4 +1,4 @@
-"""Frames as they come: the newest one for a method that is slower than the camera, and a clock for recordings."""
+"""Live processing: the newest frame for methods slower than the camera, and recordings played in real time."""
 
 from objectflow.live.follow import Step, follow
 from objectflow.live.newest_frame import NewestFrame

@@ -1,4 +1,4 @@
-"""Following objects live: estimate between the newest frame and the one before, link ids, go on with the newest."""
+"""Live tracking of objects: each estimate runs from the last processed frame to the newest frame."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.frame import RgbdFrame
 from objectflow.live.newest_frame import FrameTaken, NewestFrame
-from objectflow.methods.base import Estimator
+from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.tracking.tracker import Tracker
 
@@ -19,11 +21,11 @@ class Step:
 
     Attributes:
         prev, curr: the frames.
-        motion: between them.
-        tracks: the lasting id of each object of `motion` that has one.
+        motion: between the frames.
+        tracks: track id of each object of `motion` that has a track, by the object's id.
         times: of the two frames, seconds.
-        latency: seconds from taking the current frame to having its motion.
-        dropped: frames of the source between the two that nobody looked at.
+        latency: from taking the current frame to the result, seconds.
+        dropped: number of source frames between the two that were not processed.
     """
 
     prev: RgbdFrame
@@ -36,41 +38,43 @@ class Step:
 
 
 def follow(
-    latest: NewestFrame,
+    source: NewestFrame,
     estimator: Estimator,
     tracker: Tracker,
     *,
     min_gap: float = 0.0,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Step]:
-    """Estimate as fast as the method can, always on the newest frame.
+    """Estimate on the newest frame whenever the method is ready, and track the objects.
 
     Args:
-        latest: the source, entered.
+        source: an entered `NewestFrame`.
         estimator: the method.
-        tracker: links the objects; it has seen nothing yet.
-        min_gap: seconds between the two frames at least: things must have had the time to move.
-        clock: seconds that only rise; times frames that have no time of their own.
+        tracker: links the objects; it must be new.
+        min_gap: smallest time between the two frames, seconds, so that objects can move measurably.
+        clock: monotonic clock, seconds; provides the times of frames without timestamps.
 
     Raises:
-        ObjectflowError: what the source raised, or frames that do not fit together.
+        ObjectflowError: the source failed, or the frames do not match each other.
     """
-    prev: FrameTaken | None = latest.take()
+    prev: FrameTaken | None = source.take()
     if prev is None:
         return
     prev_time = _time_of(prev, clock)
     number = prev.number
-    while (curr := latest.take(number)) is not None:
+    last: PreparedFrame | None = None
+    while (curr := source.take(number)) is not None:
         number = curr.number
         taken, curr_time = clock(), _time_of(curr, clock)
         if curr_time - prev_time < min_gap or curr_time <= prev_time:
             if curr_time < prev_time:
-                # A recording that starts again, or a clock that was set: begin anew from here.
-                prev, prev_time = curr, curr_time
+                # The recording restarted or the clock was set back, so tracking restarts here.
+                prev, prev_time, last = curr, curr_time, None
                 tracker.reset()
             continue
-        check_pair(prev.frame, curr.frame)
-        motion = estimator(prev.frame, curr.frame)
+        # What the last estimate computed on its current frame is not computed again.
+        pair = FramePair(last or prev.frame, curr.frame)
+        motion, last = estimate_pair(estimator, pair), pair.curr
         tracks = tracker.update(prev_time, curr.frame, curr_time, motion)
         yield Step(
             prev=prev.frame,

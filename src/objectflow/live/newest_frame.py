@@ -1,4 +1,4 @@
-"""The newest frame of a source that does not wait: what was not fetched in time is dropped, and nothing queues up."""
+"""The newest frame of a source: frames that are not fetched in time are dropped instead of queued."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ class FrameTaken(NamedTuple):
 
 
 class NewestFrame:
-    """Reads a source in a thread of its own and keeps its newest frame alone.
+    """Reads a source in a thread and keeps only its newest frame.
 
-    Use it in a `with` block: the thread ends with it, and so does the source if it can be closed.
+    Use it in a `with` block: leaving the block ends the thread and closes the source if it has `close`.
     """
 
     def __init__(self, source: Iterable[RgbdFrame]) -> None:
@@ -44,23 +44,23 @@ class NewestFrame:
         self._thread.join(timeout=5.0)
 
     def take(self, after: int = -1, timeout: float | None = None) -> FrameTaken | None:
-        """Wait for a frame newer than the one of number `after`.
+        """Wait for a frame newer than number `after`.
 
         Args:
             after: number of the last frame taken.
-            timeout: seconds to wait; None waits for the source.
+            timeout: seconds to wait; None waits without limit.
 
         Returns:
-            The newest frame, or None at the source's end or after the timeout.
+            The newest frame, or None at the end of the source or after the timeout.
 
         Raises:
-            ObjectflowError: what the source raised, once its earlier frames were taken.
+            ObjectflowError: the source failed and its earlier frames have been taken.
         """
         with self._changed:
-            fresh = self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout)
+            changed = self._changed.wait_for(lambda: self._is_newer(after) or self._ended, timeout)
             if self._newest is not None and self._newest.number > after:
                 return self._newest
-            if fresh and self._error is not None:
+            if changed and self._error is not None:
                 raise self._error
             return None
 
@@ -76,7 +76,7 @@ class NewestFrame:
                         break
                     self._newest = FrameTaken(number, frame)
                     self._changed.notify_all()
-        except BaseException as error:  # handed to whoever takes frames; a thread has nobody to raise it to
+        except BaseException as error:  # Raised again by `take`, in the consumer's thread.
             self._error = error
         finally:
             close = getattr(frames, "close", None)

@@ -1,4 +1,4 @@
-"""A recording at the speed at which it was made."""
+"""Playback of a recording in real time."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ def replay(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Generator[RgbdFrame, None, None]:
-    """Give each frame at its time; a frame whose time has passed while another was read is left out.
+    """Yield each frame at its time; frames that are overdue when the next one is due are skipped.
 
     Args:
         source: the recording.
-        rate: frames a second, where the source has no times.
-        speed: 2 plays twice as fast.
-        loop: start again at the end, for ever.
-        clock: seconds that only rise.
-        sleep: waits for seconds.
+        rate: frames per second, where the source has no times.
+        speed: playback speed; 2 is twice as fast.
+        loop: restart at the end, endlessly.
+        clock: monotonic clock, seconds.
+        sleep: waits for a number of seconds.
     """
     count = len(source)
-    known = [source.timestamp(index) for index in range(count)]
-    times = [index / rate if time is None else time for index, time in enumerate(known)]
+    stamps = [source.timestamp(index) for index in range(count)]
+    times = [index / rate if stamp is None else stamp for index, stamp in enumerate(stamps)]
     while True:
-        began = clock()
+        start = clock()
         for index in range(count):
-            due = began + (times[index] - times[0]) / speed
+            due = start + (times[index] - times[0]) / speed
             wait = due - clock()
-            if wait < 0 and index + 1 < count and clock() >= began + (times[index + 1] - times[0]) / speed:
+            if wait < 0 and index + 1 < count and clock() >= start + (times[index + 1] - times[0]) / speed:
                 continue
             if wait > 0:
                 sleep(wait)

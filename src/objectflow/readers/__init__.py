@@ -1,4 +1,4 @@
-"""Where frames come from: one kind of source a file; `open_source` guesses the kind by looking."""
+"""RGB-D frame sources, one kind per module; `open_source` detects the kind of a path."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a bag file, or the folder of a ROS 2 bag."""
+    """Whether a path is a bag file or a ROS 2 bag folder."""
     if path.is_file():
         return path.suffix in BAG_SUFFIXES
     return (path / "metadata.yaml").is_file() or any(any(path.glob(f"*{end}")) for end in BAG_SUFFIXES[1:])
@@ -42,18 +42,19 @@ def open_source(
     color_topic: str | None = None,
     depth_topic: str | None = None,
 ) -> FrameSource:
-    """Open a pair folder, a TUM RGB-D directory, a folder of numbered frames or a bag, whichever it is.
+    """Open a pair folder, a TUM RGB-D directory, a folder of numbered frames or a bag; the kind is detected.
 
     Args:
-        path: a folder; of bags also a file.
-        options: about the camera.
-        color_topic, depth_topic: of a bag that has several.
+        path: a folder, or a bag file.
+        options: the camera.
+        color_topic, depth_topic: required where a bag has several.
 
     Raises:
-        ReaderError: no such folder, or no frames in it; no camera; topics for what is no bag.
-        MissingExtraError: a bag, and rosbags is not installed.
-        CameraError: a camera file without the values of a camera.
-        FrameError: a depth scale that is none.
+        ReaderError: the folder does not exist or holds no frames, there is no camera, or topics are given for a path
+            that is not a bag.
+        MissingExtraError: the path is a bag and rosbags is not installed.
+        CameraError: the camera file lacks intrinsics or holds invalid ones.
+        FrameError: invalid depth scale.
     """
     path = Path(path)
     if path.exists() and is_bag(path):
@@ -61,7 +62,7 @@ def open_source(
 
         return open_bag(path, options, color_topic=color_topic, depth_topic=depth_topic)
     if color_topic is not None or depth_topic is not None:
-        raise ReaderError(f"{path}: topics are for bags (.bag, .mcap, a ROS 2 bag's folder), and this is none")
+        raise ReaderError(f"{path}: topics are for bags only (.bag, .mcap or a ROS 2 bag folder)")
     if not path.is_dir():
         raise ReaderError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
     if is_tum(path):

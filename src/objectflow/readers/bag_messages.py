@@ -1,4 +1,4 @@
-"""The messages of a ROS 1 bag, a ROS 2 bag or an MCAP file, by topic and number; no ROS needed."""
+"""The messages of a ROS 1 bag, a ROS 2 bag or an MCAP file by topic and number; no ROS installation is needed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from objectflow.errors import MissingExtraError, ReaderError
-from objectflow.readers.bag_salvage import Chunks, Entry, scan
+from objectflow.readers.bag_records import MessageEntry
+from objectflow.readers.bag_recovery import Chunks, scan
 
 try:
     from rosbags.highlevel import AnyReader, AnyReaderError
@@ -18,43 +19,43 @@ except ImportError as error:
 
 
 class BagMessages(Protocol):
-    """What a bag holds.
+    """Random access to a bag.
 
     Attributes:
         types: topic -> message type, such as `sensor_msgs/msg/Image`.
-        cut_off: the bag ends in the middle; what is whole can be read.
+        cut_off: whether the bag is truncated and only its complete part can be read.
     """
 
     types: dict[str, str]
     cut_off: bool
 
     def stamps(self, topic: str) -> list[int]:
-        """Nanoseconds of each message's header, in the bag's order; the time of recording where it is 0."""
+        """Header stamp of each message in bag order, nanoseconds; the recording time where the stamp is 0."""
         ...
 
     def read(self, topic: str, number: int) -> Any:
-        """One message.
+        """Deserialise one message.
 
         Raises:
-            ReaderError: it is broken.
+            ReaderError: the message is broken.
         """
         ...
 
 
 def open_messages(path: Path) -> BagMessages:
-    """Open a bag; one that was cut off is read as far as it goes.
+    """Open a bag; a truncated bag is read as far as it is complete.
 
     Raises:
-        ReaderError: no bag, or nothing in it that is whole.
+        ReaderError: the path is not a bag, or no message in it is complete.
     """
     try:
-        return _WholeBag(path)
+        return _IndexedBag(path)
     except (AnyReaderError, TypesysError, OSError, ValueError, struct.error, KeyError, AssertionError) as error:
         file = _single_file(path)
         if file is None:
             raise ReaderError(f"{path}: not a bag that can be read: {error}") from error
         try:
-            return _CutBag(file)
+            return _TruncatedBag(file)
         except ReaderError:
             raise ReaderError(f"{path}: not a bag that can be read: {error}") from error
 
@@ -66,8 +67,8 @@ def _single_file(path: Path) -> Path | None:
     return inside[0] if len(inside) == 1 else None
 
 
-class _WholeBag:
-    """A bag with its index, through rosbags."""
+class _IndexedBag:
+    """A complete bag with its index, read through rosbags."""
 
     cut_off = False
 
@@ -93,8 +94,8 @@ class _WholeBag:
         if topic not in self._times:
             self.stamps(topic)
         time = self._times[topic][number]
-        # Several messages of one topic may carry one time of recording.
-        skip = sum(other == time for other in self._times[topic][:number])
+        # Several messages of a topic may share a recording time.
+        skip = sum(earlier == time for earlier in self._times[topic][:number])
         try:
             for connection, _, data in self._reader.messages(self._connections[topic], time, time + 1):
                 if skip == 0:
@@ -105,20 +106,20 @@ class _WholeBag:
         raise ReaderError(f"{self._path}: message {number} of {topic} cannot be found again")
 
 
-class _CutBag:
-    """A bag without its index: what a scan from the start finds."""
+class _TruncatedBag:
+    """A bag that lost its index: its messages are found by a scan from the start."""
 
     cut_off = True
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        entries, _ = scan(path)
-        self._entries: dict[str, list[Entry]] = {}
+        entries = scan(path)
+        self._entries: dict[str, list[MessageEntry]] = {}
         for entry in entries:
             if entry.channel.msgtype.startswith("sensor_msgs/"):
                 self._entries.setdefault(entry.channel.topic, []).append(entry)
         if not self._entries:
-            raise ReaderError(f"{path}: cut off, and no whole image in it")
+            raise ReaderError(f"{path}: cut off, and it holds no complete image")
         self.types = {topic: found[0].channel.msgtype for topic, found in self._entries.items()}
         self._ros2 = path.suffix != ".bag"
         self._store = get_typestore(Stores.EMPTY)
@@ -130,23 +131,23 @@ class _CutBag:
 
     def stamps(self, topic: str) -> list[int]:
         read = self._chunks.read
-        return [header_stamp(read(entry.place), ros2=self._ros2) or entry.time for entry in self._entries[topic]]
+        return [header_stamp(read(entry.location), ros2=self._ros2) or entry.time for entry in self._entries[topic]]
 
     def read(self, topic: str, number: int) -> Any:
         entry = self._entries[topic][number]
-        data = self._chunks.read(entry.place)
+        data = self._chunks.read(entry.location)
         deserialize = self._store.deserialize_cdr if self._ros2 else self._store.deserialize_ros1
         return deserialize(data, entry.channel.msgtype)
 
 
 def header_stamp(data: bytes | memoryview, *, ros2: bool) -> int:
-    """Nanoseconds of a message that starts with a `std_msgs/Header`, without unpacking the rest; 0 if it has none."""
+    """Stamp of a serialised message that starts with a `std_msgs/Header`, nanoseconds; 0 if it is too short."""
     if len(data) < 12:
         return 0
     if ros2:
-        # Four bytes of encapsulation, whose second tells the byte order; then the stamp.
+        # The stamp follows four bytes of CDR encapsulation, the second of which holds the byte order.
         seconds, nanoseconds = struct.unpack_from("<iI" if data[1] == 1 else ">iI", data, 4)
     else:
-        # The sequence number comes first.
+        # The stamp follows the sequence number.
         seconds, nanoseconds = struct.unpack_from("<II", data, 4)
     return int(seconds) * 10**9 + int(nanoseconds)

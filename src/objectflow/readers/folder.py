@@ -1,12 +1,12 @@
 """A plain folder of numbered frames.
 
-Colour and depth images of one number make a frame. Two layouts are known:
+A colour and a depth image with the same number make a frame. Two layouts are supported:
 
 - two subfolders: `color/` (or `rgb/`, `image/`, `images/`) and `depth/`, with `0001.png`, `frame_0001.jpg`, ...
-- one folder, with `color` (or `colour`, `rgb`) and `depth` in the names: `color_0001.png depth_0001.png`,
+- one folder, with `color` (or `colour`, `rgb`) and `depth` in the file names: `color_0001.png depth_0001.png`,
   `0001_rgb.jpg 0001_depth.png`, `frame-000001.color.png frame-000001.depth.png`, ...
 
-The number is the last one in the name, with a decimal point if it has one (`1305031102.175304.png`).
+The frame number is the last number in the file name; it may have a decimal point (`1305031102.175304.png`).
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ _NUMBER = re.compile(r"[0-9]+(?:\.[0-9]+)?")
 
 
 def open_folder(folder: Path, options: CameraOptions | None = None) -> FrameSequence:
-    """Open a folder of numbered frames, in the order of their numbers.
+    """Open a folder of numbered frames, sorted by number.
 
     Raises:
-        ReaderError: no frames, a frame without its depth or colour, two images of one number, or no camera.
-        CameraError: a camera file without the values of a camera.
-        FrameError: a depth scale that is none.
+        ReaderError: the folder holds no frames, a frame lacks its depth or colour image, two images have the same
+            number, or there is no camera.
+        CameraError: the camera file lacks intrinsics or holds invalid ones.
+        FrameError: invalid depth scale.
     """
     color, depth = _find_images(folder)
     if not color and not depth:

@@ -1,4 +1,4 @@
-"""Which camera took the images: a file beside them, a named camera, or four numbers."""
+"""The camera of a source: a file beside the images, a named camera or four intrinsics."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.storage.images import read_color
 
 DEFAULT_DEPTH_SCALE = 1000.0
-"""Depth units a metre where nobody says otherwise: most depth cameras write millimetres."""
+"""Default depth units per metre; most depth cameras write millimetres."""
 
 NAMED_CAMERAS: dict[str, Camera] = {
     "fr1": Camera(width=640, height=480, fx=517.3, fy=516.5, cx=318.6, cy=255.3),
     "fr2": Camera(width=640, height=480, fx=520.9, fy=521.0, cx=325.1, cy=249.7),
     "fr3": Camera(width=640, height=480, fx=535.4, fy=539.2, cx=320.1, cy=247.6),
 }
-"""The three colour cameras of the TUM RGB-D benchmark, as its file-format page lists them."""
+"""The three colour cameras of the TUM RGB-D benchmark, from its file-format page."""
 
 
 class CameraSetup(NamedTuple):
-    """A camera and its depth units a metre."""
+    """A camera and its depth units per metre."""
 
     camera: Camera
     depth_scale: float
@@ -30,12 +30,12 @@ class CameraSetup(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """What the caller knows about the camera; whatever is None is looked for beside the images.
+    """Camera settings of the caller; a value that is None is read from the `camera.json` beside the images.
 
     Attributes:
         camera_file: a `camera.json`, or a name of `NAMED_CAMERAS`.
-        intrinsics: fx, fy, cx, cy in pixels, for the images' own size.
-        depth_scale: depth units a metre; wins over the camera file's.
+        intrinsics: fx, fy, cx, cy in pixels, at the size of the images.
+        depth_scale: depth units per metre; overrides the camera file.
     """
 
     camera_file: Path | None = None
@@ -46,14 +46,15 @@ class CameraOptions:
         """Find the camera of a folder of images.
 
         Args:
-            folder: where a `camera.json` may lie.
-            first_color: a colour image of the source, to check the camera's size against.
-            default_scale: depth units a metre if neither the caller nor the file says it.
+            folder: may hold a `camera.json`.
+            first_color: a colour image of the source, whose size the camera must have.
+            default_scale: depth units per metre if neither the caller nor the file sets it.
 
         Raises:
-            ReaderError: no camera, two of them, or one of another image size; a file that cannot be read.
-            CameraError: values that make no camera.
-            FrameError: a depth scale that is none.
+            ReaderError: there is no camera, two cameras are given, the camera has another image size, or a file
+                cannot be read.
+            CameraError: invalid intrinsics.
+            FrameError: invalid depth scale.
         """
         height, width = read_color(first_color).shape[:2]
         return self.fit((width, height), folder, str(first_color), default_scale)
@@ -61,7 +62,7 @@ class CameraOptions:
     def fit(
         self, size: tuple[int, int], folder: Path, image: str = "the image", default_scale: float = DEFAULT_DEPTH_SCALE
     ) -> CameraSetup:
-        """The camera of images of a size (width, height); arguments and errors as `resolve`'s."""
+        """The camera of images of a size (width, height); other arguments and errors as for `resolve`."""
         if self.camera_file is not None and self.intrinsics is not None:
             raise ReaderError("both a camera file and intrinsics are given: leave one out")
         if self.depth_scale is not None:
@@ -87,11 +88,11 @@ class CameraOptions:
             path = folder / "camera.json"
             if not path.exists():
                 raise ReaderError(
-                    f"{folder}: no camera.json there: give --camera-file FILE (or {', '.join(NAMED_CAMERAS)} "
+                    f"{folder}: no camera.json in this folder: give --camera-file FILE (or {', '.join(NAMED_CAMERAS)} "
                     "for the TUM cameras) or --intrinsics fx fy cx cy"
                 )
         try:
             return Camera.read(path)
         except OverflowError:
-            # JSON numbers have no limit; floats do.
-            raise ReaderError(f"{path}: holds a number that is too large for a camera") from None
+            # JSON integers are unbounded; floats are not.
+            raise ReaderError(f"{path}: a number is too large for a camera") from None

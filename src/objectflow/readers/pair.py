@@ -1,7 +1,7 @@
-"""Two frames: a pair folder, or four files.
+"""Two frames: a pair folder or four files.
 
 A pair folder holds `color0`, `color1` (.png, .jpg or .jpeg), `depth0.png`, `depth1.png` (16-bit) and `camera.json`;
-0 is the previous frame, 1 the current one.
+0 is the previous frame and 1 is the current frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def is_pair(folder: Path) -> bool:
-    """Whether a folder holds a first colour image of a pair, and not a longer sequence."""
+    """Whether a folder holds `color0` but no `color2`, which would make it a longer sequence."""
     return _find_color(folder, 0) is not None and _find_color(folder, 2) is None
 
 
@@ -24,9 +24,9 @@ def open_pair(folder: Path, options: CameraOptions | None = None) -> FrameSequen
     """Open a pair folder as a sequence of two frames.
 
     Raises:
-        ReaderError: the folder or one of its files is missing, or the camera has another size than the images.
-        CameraError: a camera file without the values of a camera.
-        FrameError: a depth scale that is none.
+        ReaderError: the folder or one of its files is missing, or the camera's size differs from the images'.
+        CameraError: the camera file lacks intrinsics or holds invalid ones.
+        FrameError: invalid depth scale.
     """
     if not folder.is_dir():
         raise ReaderError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
@@ -45,10 +45,10 @@ def open_pair(folder: Path, options: CameraOptions | None = None) -> FrameSequen
 def open_files(
     prev_color: Path, prev_depth: Path, curr_color: Path, curr_depth: Path, options: CameraOptions | None = None
 ) -> FrameSequence:
-    """Open four image files as a sequence of two frames; `camera.json` is looked for beside the first.
+    """Open four image files as a sequence of two frames, with the `camera.json` beside the first file.
 
     Raises:
-        ReaderError, CameraError, FrameError: as `open_pair`.
+        ReaderError, CameraError, FrameError: as for `open_pair`.
     """
     for path in (prev_color, prev_depth, curr_color, curr_depth):
         if not path.is_file():

@@ -1,4 +1,4 @@
-"""An Intel RealSense camera, or a recording of one: depth aligned to colour, frames as they come."""
+"""Frames of an Intel RealSense camera or of its recordings, with depth aligned to colour."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ try:
 except ModuleNotFoundError as error:
     raise MissingExtraError('RealSense cameras need pyrealsense2: pip install "objectflow[realsense]"') from error
 except ImportError as error:
-    raise MissingExtraError(f"pyrealsense2 is there, but a system library of it is not: {error}") from error
+    raise MissingExtraError(f"pyrealsense2 is installed, but it lacks a system library: {error}") from error
 
 WARM_UP = 15
-"""Frames left out at first, while exposure settles."""
-PATIENCE_MS = 5000
+"""Number of initial frames that are skipped until the auto-exposure has converged."""
+TIMEOUT_MS = 5000
+"""Longest wait for a frame, milliseconds."""
 
 
 def read_realsense(
@@ -35,18 +36,19 @@ def read_realsense(
     serial: str | None = None,
     real_time: bool = False,
 ) -> Generator[RgbdFrame, None, None]:
-    """Frames of a camera for ever, or of a recording to its end; closing the generator stops the camera.
+    """Yield the frames of a camera endlessly, or of a recording to its end; closing the generator stops the camera.
 
     Args:
-        recording: what the RealSense viewer or driver recorded, `.bag` or `.db3` (2.59 writes `.db3`); None opens a
-            camera.
-        width, height, rate: of colour and depth; a recording keeps its own.
-        serial: of the camera, where there are several.
-        real_time: play a recording at its own speed, leaving out what comes too fast, in place of giving every frame.
+        recording: a file recorded by the RealSense viewer or driver, `.bag` or `.db3` (written by version 2.59); None
+            opens a camera.
+        width, height, rate: of colour and depth, in pixels and frames per second; ignored for recordings.
+        serial: of the camera, where several are connected.
+        real_time: play a recording at its original speed and drop frames that are not read in time; otherwise every
+            frame is yielded.
 
     Raises:
-        ReaderError: no camera, one that cannot do this size, a recording that cannot be read or has no colour or no
-            depth, or frames that stop.
+        ReaderError: there is no camera, it does not support this size, it stopped delivering frames, or the recording
+            cannot be read or lacks colour or depth.
     """
     if recording is not None and not recording.is_file():
         raise ReaderError(f"{recording}: no such file")
@@ -59,10 +61,10 @@ def read_realsense(
             config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
         else:
             config.enable_device_from_file(str(recording), repeat_playback=False)
-            # A format asked for by name is not found in a recording.
+            # Recordings do not resolve streams that are requested with an explicit format.
             config.enable_stream(rs.stream.color)
             config.enable_stream(rs.stream.depth)
-            # Before the start: the first frames would be lost.
+            # Must be set before the pipeline starts, or the first frames are lost.
             playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
             playback.set_real_time(real_time)
         profile = pipeline.start(config)
@@ -85,11 +87,11 @@ def read_realsense(
 
 
 def _aligned(pipeline: Any, *, ends: bool) -> Iterator[tuple[Any, Any]]:
-    """Colour and aligned depth as the driver puts them together; a source that `ends` may stop."""
+    """Colour and aligned depth frames as the driver combines them; `ends` marks a source that may end."""
     align = rs.align(rs.stream.color)
     while True:
         try:
-            frames = align.process(pipeline.wait_for_frames(PATIENCE_MS))
+            frames = align.process(pipeline.wait_for_frames(TIMEOUT_MS))
         except RuntimeError as error:
             if ends:
                 return
@@ -102,25 +104,26 @@ def _aligned(pipeline: Any, *, ends: bool) -> Iterator[tuple[Any, Any]]:
 def _matched(found: Iterator[tuple[Any, Any]], camera: Camera, scale: float) -> Iterator[RgbdFrame]:
     """Each colour image once, with the depth nearest in time.
 
-    A recording that is not played in real time gives a set whenever one of the two is new.
+    A recording that is not played in real time yields a frame set whenever either image is new.
     """
     for _, sets in itertools.groupby(found, key=lambda pair: pair[0].get_frame_number()):
         best: tuple[float, RgbdFrame] | None = None
         for color, depth in sets:
-            apart = abs(color.get_timestamp() - depth.get_timestamp())
-            if best is None or apart < best[0]:
-                best = apart, _frame(color, depth, camera, scale)
+            difference = abs(color.get_timestamp() - depth.get_timestamp())
+            if best is None or difference < best[0]:
+                best = difference, _frame(color, depth, camera, scale)
         if best is not None:
             yield best[1]
 
 
 def _camera(profile: Any) -> Camera:
-    inside = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
-    return Camera(inside.width, inside.height, inside.fx, inside.fy, inside.ppx, inside.ppy)
+    intrinsics = profile.get_stream(rs.stream.color).as_video_stream_profile().get_intrinsics()
+    size = intrinsics.width, intrinsics.height
+    return Camera(*size, intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy)
 
 
 def _frame(color: Any, depth: Any, camera: Camera, scale: float) -> RgbdFrame:
-    # Copies: the driver uses its buffers again.
+    # Copied because the driver reuses its buffers.
     pixels = np.array(color.get_data(), dtype=np.uint8)
     kind = color.get_profile().format()
     if kind not in (rs.format.rgb8, rs.format.bgr8):

@@ -34,9 +34,9 @@ _PNG = b"\x89PNG"
 
 
 def is_depth(message: Any) -> bool | None:
-    """Whether an image message holds depth, by its encoding or format; None if it is no image.
+    """Whether an image message holds depth according to its encoding or format; None if it is not an image.
 
-    Two bytes a pixel under an encoding of one are depth too: `to_depth` says what is wrong with them.
+    Two bytes per pixel with an 8-bit encoding count as depth, so that `to_depth` can report the wrong encoding.
     """
     if hasattr(message, "encoding"):
         return str(message.encoding).lower() in _DEPTH or _is_mislabelled(message)
@@ -46,15 +46,15 @@ def is_depth(message: Any) -> bool | None:
 
 
 def to_color(message: Any, topic: str) -> UInt8Array:
-    """An Image or CompressedImage message as (H, W, 3) uint8 RGB.
+    """Decode an Image or CompressedImage message to (H, W, 3) uint8 RGB.
 
     Raises:
-        ReaderError: it is no colour image, or it is broken.
+        ReaderError: the message is not a colour image or is broken.
     """
     if hasattr(message, "format"):
         image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
         if image is None:
-            raise ReaderError(f"{topic}: an image in format {message.format!r} that cannot be decoded")
+            raise ReaderError(f"{topic}: an image in format {message.format!r} cannot be decoded")
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     encoding = str(message.encoding).lower()
     if encoding in _DEPTH:
@@ -64,23 +64,23 @@ def to_color(message: Any, topic: str) -> UInt8Array:
 
 
 def to_depth(message: Any, topic: str, depth_scale: float) -> Float32Array:
-    """An Image or compressedDepth message as (H, W) float32 metres, 0 = missing.
+    """Decode an Image or compressedDepth message to (H, W) float32 metres, 0 = missing.
 
     Args:
-        message: whole numbers count `depth_scale` a metre; floating-point numbers are metres (REP 118).
-        topic: for messages.
-        depth_scale: units a metre.
+        message: integer depth is in units of 1 / `depth_scale` metres; floating-point depth is in metres (REP 118).
+        topic: for error messages.
+        depth_scale: units per metre.
 
     Raises:
-        ReaderError: it is no depth image, or it is broken.
+        ReaderError: the message is not a depth image or is broken.
     """
     if hasattr(message, "format"):
         raw = _decompress_depth(bytes(message.data), str(message.format), topic)
     elif _is_mislabelled(message):
         size = int(message.step) // int(message.width)
         raise ReaderError(
-            f"{topic}: encoding {message.encoding} says 1 byte a pixel, but rows have {size}: "
-            "if this is 16-bit depth, its encoding must be 16UC1"
+            f"{topic}: encoding {message.encoding} has 1 byte per pixel, but the rows have {size}: "
+            "the encoding of 16-bit depth must be 16UC1"
         )
     elif str(message.encoding).lower() not in _DEPTH:
         raise ReaderError(
@@ -99,10 +99,12 @@ def _is_mislabelled(message: Any) -> bool:
 
 
 def _pixels(message: Any, topic: str) -> tuple[NDArray[Any], int | None]:
-    """The array of a raw image, and the conversion that makes it RGB."""
+    """The array of a raw image, and the OpenCV conversion to RGB."""
     encoding = str(message.encoding).lower()
     if encoding not in _LAYOUTS:
-        raise ReaderError(f"{topic}: image encoding {message.encoding!r} is not known: {', '.join(_LAYOUTS)}")
+        raise ReaderError(
+            f"{topic}: image encoding {message.encoding!r} is not supported; supported: {', '.join(_LAYOUTS)}"
+        )
     kind, channels, conversion = _LAYOUTS[encoding]
     height, width, step = int(message.height), int(message.width), int(message.step)
     row = width * channels * np.dtype(kind).itemsize
@@ -118,20 +120,20 @@ def _pixels(message: Any, topic: str) -> tuple[NDArray[Any], int | None]:
 
 
 def _decompress_depth(data: bytes, kind: str, topic: str) -> NDArray[Any]:
-    """The compressedDepth transport: a header of 12 bytes (a format and two numbers), then a PNG of 16 bits.
+    """Decode the compressedDepth transport: a 12-byte header (format, a, b), then a 16-bit PNG.
 
-    Floating-point depth is stored as whole inverse depth: `z = a / (value - b)`.
+    Floating-point depth is stored as quantised inverse depth: `z = a / (value - b)`.
     """
     start = data.find(_PNG)
     if start < 0:
-        raise ReaderError(f"{topic}: depth in format {kind!r} without a PNG inside: only PNG compression is known")
+        raise ReaderError(f"{topic}: depth in format {kind!r} holds no PNG: only PNG compression is supported")
     image = cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
-        raise ReaderError(f"{topic}: depth in format {kind!r} that is no 16-bit PNG")
+        raise ReaderError(f"{topic}: depth in format {kind!r} is not a 16-bit PNG")
     if "32fc1" not in kind.lower():
         return np.asarray(image)
     if start < 12:
-        raise ReaderError(f"{topic}: depth in format {kind!r} without the header of its transport")
+        raise ReaderError(f"{topic}: depth in format {kind!r} lacks the compressedDepth header")
     a, b = struct.unpack("<ff", data[start - 8 : start])
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(image > 0, a / (image.astype(np.float32) - b), 0).astype(np.float32)

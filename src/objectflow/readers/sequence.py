@@ -1,4 +1,4 @@
-"""`FrameSource`: what every reader returns; `FrameSequence`: the one for image files."""
+"""`FrameSource`, the interface of every reader, and `FrameSequence`, its implementation for image files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from objectflow.geometry.camera import Camera
 
 
 class CutOffWarning(UserWarning):
-    """A recording ends in the middle; what is whole is used."""
+    """A recording is truncated; only its complete part is read."""
 
 
 class FrameSource(Protocol):
-    """The frames of one camera in order of time, read one by one when they are asked for."""
+    """The frames of one camera in time order, read on access."""
 
     @property
     def camera(self) -> Camera:
@@ -25,7 +25,7 @@ class FrameSource(Protocol):
 
     @property
     def depth_scale(self) -> float:
-        """Depth units a metre."""
+        """Depth units per metre."""
         ...
 
     def __len__(self) -> int: ...
@@ -35,13 +35,13 @@ class FrameSource(Protocol):
     def __iter__(self) -> Iterator[RgbdFrame]: ...
 
     def timestamp(self, index: int, /) -> float | None:
-        """Seconds, without reading the frame; None where the source has no times."""
+        """Time of a frame in seconds, without reading it; None where the source has no times."""
         ...
 
 
 @dataclass(frozen=True)
 class FramePaths:
-    """The two files of a frame and, where the source has one, its time in seconds."""
+    """The two files of a frame, and its time in seconds where the source has one."""
 
     color: Path
     depth: Path
@@ -50,12 +50,12 @@ class FramePaths:
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """The frames of one camera in the order of time; nothing is kept in memory.
+    """The frames of one camera in time order; nothing is kept in memory.
 
     Attributes:
         paths: the files of each frame.
         camera: the camera of all frames.
-        depth_scale: depth units a metre.
+        depth_scale: depth units per metre.
     """
 
     paths: tuple[FramePaths, ...]
@@ -66,11 +66,11 @@ class FrameSequence:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> RgbdFrame:
-        """Read a frame from the disk.
+        """Read a frame from disk.
 
         Raises:
-            ReaderError: a file that is missing, broken or of the wrong kind.
-            FrameError: images that make no frame, or are not of the camera's size.
+            ReaderError: a file is missing, broken or of the wrong kind.
+            FrameError: the images do not make a valid frame or do not match the camera's size.
         """
         files = self.paths[index]
         return RgbdFrame.read(
@@ -81,5 +81,5 @@ class FrameSequence:
         return (self[index] for index in range(len(self)))
 
     def timestamp(self, index: int) -> float | None:
-        """Seconds, without reading the frame; None where the source has no times."""
+        """Time of a frame in seconds, without reading it; None where the source has no times."""
         return self.paths[index].timestamp

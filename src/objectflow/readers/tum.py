@@ -1,7 +1,7 @@
 """A directory of the TUM RGB-D benchmark: `rgb.txt` and `depth.txt`, associated by time.
 
-Each line of the two lists is `timestamp file`, with `#` before comments; depth PNGs count 5000 units a metre. The
-two cameras are not triggered together, so a colour image takes the depth image nearest in time.
+Each line of the two lists is `timestamp file`, with `#` before comments; depth PNGs hold 5000 units per metre. The
+two sensors are not synchronised, so each colour image is paired with the depth image nearest in time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from objectflow.readers.sequence import FramePaths, FrameSequence
 
 TUM_DEPTH_SCALE = 5000.0
 MAX_TIME_DIFFERENCE = 0.02
-"""Seconds; the benchmark's own limit: less than one frame at 30 Hz."""
+"""Largest time difference within a pair, seconds: the benchmark's limit, shorter than a frame at 30 Hz."""
 
 
 def is_tum(folder: Path) -> bool:
@@ -27,12 +27,12 @@ def is_tum(folder: Path) -> bool:
 
 
 def open_tum(folder: Path, options: CameraOptions | None = None) -> FrameSequence:
-    """Open a TUM RGB-D directory; frames are in the order of the colour images' times.
+    """Open a TUM RGB-D directory; frames are sorted by the times of the colour images.
 
     Raises:
-        ReaderError: a list that cannot be read, no two images close in time, or no camera.
-        CameraError: a camera file without the values of a camera.
-        FrameError: a depth scale that is none.
+        ReaderError: a list cannot be read, no two images are close in time, or there is no camera.
+        CameraError: the camera file lacks intrinsics or holds invalid ones.
+        FrameError: invalid depth scale.
     """
     color, depth = read_list(folder / "rgb.txt"), read_list(folder / "depth.txt")
     pairs = associate([time for time, _ in color], [time for time, _ in depth])
@@ -49,7 +49,7 @@ def read_list(path: Path) -> list[tuple[float, str]]:
     """Read `timestamp file` lines, sorted by time.
 
     Raises:
-        ReaderError: the file cannot be read, or a line is no such pair; the message holds its number.
+        ReaderError: the file cannot be read, or a line is malformed; the message holds its number.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -75,14 +75,14 @@ def read_list(path: Path) -> list[tuple[float, str]]:
 def associate(
     first: Sequence[float], second: Sequence[float], limit: float = MAX_TIME_DIFFERENCE
 ) -> list[tuple[int, int]]:
-    """Pair two rising lists of times one to one, the closest pairs first.
+    """Pair two sorted lists of times one to one, greedily by increasing time difference.
 
     Args:
-        first, second: seconds, rising.
-        limit: seconds; times further apart are never paired.
+        first, second: seconds, ascending.
+        limit: largest time difference within a pair, seconds.
 
     Returns:
-        `(index in first, index in second)` in the order of `first`; whatever finds no partner is left out.
+        `(index in first, index in second)` in the order of `first`; unpaired times are omitted.
     """
     times = np.asarray(second, dtype=np.float64)
     starts = np.searchsorted(times, np.asarray(first) - limit, side="left")

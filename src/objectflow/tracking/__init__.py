@@ -1,4 +1,4 @@
-"""Objects followed over a recording: ids that last, trajectories, and their files."""
+"""Tracking of objects over a sequence: persistent ids, trajectories and their files."""
 
 from objectflow.tracking.tracker import Track, Tracker, TrackerSettings
 

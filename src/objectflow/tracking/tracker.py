@@ -1,7 +1,7 @@
-"""Object ids that last: the objects of consecutive pairs linked, and their motions chained into trajectories.
+"""Persistent object ids: objects of consecutive pairs are associated and their motions chained into trajectories.
 
-Every pair gives motions from its current frame back to its previous one, under ids of its own. An object of this pair
-is the one that was where its mask came from.
+Each pair has its own object ids, with motions from its current frame back to its previous frame. An object's surface
+is carried back by its motion and associated with the track whose last surface overlaps it most.
 """
 
 from __future__ import annotations
@@ -19,41 +19,41 @@ from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import BoolMask, Float64Array
 
 CELLS = 64
-"""Footprints are compared on so many cells across the image: fine enough for a cup, and thinned points fill them."""
+"""Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
 MAX_POINTS = 600
-"""Points that a track remembers of its surface."""
+"""Maximum number of surface points stored per track."""
 
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """When two masks are one object.
+    """Thresholds of the association.
 
     Attributes:
-        min_overlap: intersection over union of footprints from which on two may be one.
-        max_gap: metres between their median distances from the camera.
-        min_score: objects below it, such as regions that no motion explains, get no track.
-        coast: pairs for which an unseen track is also looked for where its last motion would have carried it.
-        forget: pairs after which a track that was not seen again ends. Things that stop are not seen: they rest.
-        history: poses that are kept of each track, and of the camera; None keeps all, and tracks that ended too.
+        min_overlap: minimum intersection over union of two footprints.
+        max_gap: largest difference of two surfaces' median depths, metres.
+        min_score: objects with a lower score, such as regions that no motion explains, get no track.
+        coast: number of pairs for which a lost track is also searched at the position its last motion predicts.
+        max_age: number of pairs without an association after which a track ends. Objects at rest have none.
+        history: number of poses kept per track and for the camera; None keeps all poses and ended tracks.
     """
 
     min_overlap: float = 0.1
     max_gap: float = 0.1
     min_score: float = 0.3
     coast: int = 3
-    forget: int = 300
+    max_age: int = 300
     history: int | None = None
 
 
 @dataclass(eq=False)
 class Track:
-    """One object through time. World: the first frame's camera.
+    """The trajectory of one object. The world frame is the camera of the first frame.
 
     Attributes:
-        id: from 1, never used again.
+        id: from 1, never reused.
         times: of each pose, in seconds, or frame numbers where there are no times.
-        world_T_object: (4, 4) of each time. The object's frame lies at its first centre, turned like the world.
-        labels: of each pose, its id in that frame's labels; 0 = seen by the other end of a pair.
+        world_T_object: (4, 4) at each time. The object frame starts at the object's centre, aligned with the world.
+        labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame.
         scores: of each pose.
     """
 
@@ -65,18 +65,18 @@ class Track:
 
 
 @dataclass(eq=False)
-class _Memory:
-    """Where a track was last seen: its surface in the world, its last step, and how many pairs ago."""
+class _LastState:
+    """Last observation of a track: surface points in the world frame, last motion, and its age in pairs."""
 
     points: Float64Array
     world_step: Float64Array
-    unseen: int = 0
+    age: int = 0
 
 
 class Tracker:
-    """Links the objects of pair after pair.
+    """Associates the objects of consecutive pairs.
 
-    Its memory grows by a pose an object and pair, or not at all where the settings limit the history.
+    Memory grows by one pose per object and pair, unless the settings limit the history.
     """
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
@@ -85,27 +85,27 @@ class Tracker:
         self._next = 1
         self.camera_times: list[float] = []
         self.world_T_camera: list[Float64Array] = []
-        self._memories: dict[int, _Memory] = {}
+        self._states: dict[int, _LastState] = {}
 
     @property
     def tracks(self) -> list[Track]:
-        """Every track that is kept, by its id."""
+        """All tracks that are kept, in order of id."""
         return list(self._tracks.values())
 
     def update(self, prev_time: float, curr: RgbdFrame, time: float, motion: SceneMotion) -> dict[int, int]:
-        """Take in the next pair; its previous frame is the current one of the last call.
+        """Add the next pair, whose previous frame must be the current frame of the last call.
 
         Args:
             prev_time: of the pair's previous frame.
             curr: the pair's current frame.
             time: of the current frame, later than `prev_time`.
-            motion: what a method found in the pair.
+            motion: the estimate for the pair.
 
         Returns:
-            The track of each object of `motion` that has one, by the object's id.
+            Track id of each object of `motion` that has a track, by the object's id.
 
         Raises:
-            FrameError: times that do not rise, or a frame of another size than the labels.
+            FrameError: the times are not consecutive, or the frame and the labels differ in size.
         """
         if not prev_time < time or (self.camera_times and prev_time != self.camera_times[-1]):
             raise FrameError(
@@ -128,65 +128,65 @@ class Tracker:
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
-            # Where a point of the world was before, and is now: the object's own motion, the camera's taken out.
+            # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
             track = self._track(number, obj, surface, prev_time, world_T_prev)
             track.times.append(time)
             track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
-            self._memories[track.id] = _Memory(geometry.transform(world_T_curr, surface), world_step)
+            self._states[track.id] = _LastState(geometry.transform(world_T_curr, surface), world_step)
             found[obj.id] = track.id
         self._age(set(found.values()))
         self._trim()
         return found
 
     def reset(self) -> None:
-        """Forget where things are, as after a cut: the next pair starts anew, under new ids."""
+        """Discard the state, as after a cut of the sequence; objects of the next pair get new ids."""
         self.camera_times, self.world_T_camera = [], []
-        self._memories = {}
+        self._states = {}
         if self.settings.history is not None:
             self._tracks = {}
 
     def _link(
         self, objects: list[ObjectMotion], surfaces: list[Float64Array], camera: Camera, world_T_prev: Float64Array
     ) -> list[int | None]:
-        """The track of each object, None for a new one: the assignment of greatest overlap (Hungarian method)."""
-        numbers = list(self._memories)
-        overlap = np.zeros((len(objects), len(numbers)))
-        before = [geometry.transform(o.prev_T_curr, s) for o, s in zip(objects, surfaces, strict=True)]
+        """Track id of each object, None for a new object: the assignment of largest overlap (Hungarian method)."""
+        ids = list(self._states)
+        overlap = np.zeros((len(objects), len(ids)))
+        prev_surfaces = [geometry.transform(o.prev_T_curr, s) for o, s in zip(objects, surfaces, strict=True)]
         prev_T_world = geometry.inverse(world_T_prev)
-        for column, number in enumerate(numbers):
-            memory = self._memories[number]
-            places = [memory.points]
-            if 0 < memory.unseen <= self.settings.coast:
-                # It may have moved on while nobody saw it.
-                step = np.linalg.matrix_power(memory.world_step, memory.unseen)
-                places.append(geometry.transform(step, memory.points))
-            for place in places:
-                seen = geometry.transform(prev_T_world, place)
-                for row, points in enumerate(before):
-                    if abs(np.median(points[:, 2]) - np.median(seen[:, 2])) < self.settings.max_gap:
-                        overlap[row, column] = max(overlap[row, column], footprint_overlap(points, seen, camera))
+        for column, track_id in enumerate(ids):
+            state = self._states[track_id]
+            hypotheses = [state.points]
+            if 0 < state.age <= self.settings.coast:
+                # The object may have continued its motion while it was hidden.
+                step = np.linalg.matrix_power(state.world_step, state.age)
+                hypotheses.append(geometry.transform(step, state.points))
+            for world_points in hypotheses:
+                expected = geometry.transform(prev_T_world, world_points)
+                for row, points in enumerate(prev_surfaces):
+                    if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
+                        overlap[row, column] = max(overlap[row, column], footprint_overlap(points, expected, camera))
         links: list[int | None] = [None] * len(objects)
         for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             if overlap[i, j] >= self.settings.min_overlap:
-                links[i] = numbers[j]
+                links[i] = ids[j]
         return links
 
     def _track(
         self,
-        number: int | None,
+        track_id: int | None,
         obj: ObjectMotion,
         surface: Float64Array,
         prev_time: float,
         world_T_prev: Float64Array,
     ) -> Track:
-        """The track of that number, or a new one that starts where the object was in the previous frame."""
-        if number is not None:
-            track = self._tracks[number]
+        """The track with this id, or a new one that starts at the object's position in the previous frame."""
+        if track_id is not None:
+            track = self._tracks[track_id]
             if track.times[-1] < prev_time:
-                # It rested until the previous frame, as far as anybody saw.
+                # The object is assumed to have rested until the previous frame.
                 track.times.append(prev_time)
                 track.world_T_object.append(track.world_T_object[-1])
                 track.labels.append(0)
@@ -199,17 +199,18 @@ class Tracker:
         self._next += 1
         return track
 
-    def _age(self, seen: set[int]) -> None:
-        for number in list(self._memories):
-            if number not in seen:
-                self._memories[number].unseen += 1
-                if self._memories[number].unseen > self.settings.forget:
-                    del self._memories[number]
+    def _age(self, associated: set[int]) -> None:
+        """Age the tracks without an association, and end those older than `max_age`."""
+        for track_id in list(self._states):
+            if track_id not in associated:
+                self._states[track_id].age += 1
+                if self._states[track_id].age > self.settings.max_age:
+                    del self._states[track_id]
                     if self.settings.history is not None:
-                        del self._tracks[number]
+                        del self._tracks[track_id]
 
     def _trim(self) -> None:
-        """Keep no more history than the settings allow."""
+        """Delete poses beyond the history that the settings allow."""
         keep = self.settings.history
         if keep is None:
             return
@@ -219,21 +220,21 @@ class Tracker:
 
 
 def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera) -> float:
-    """Intersection over union of the image cells that two sets of points (N, 3), camera frame, fall into."""
+    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into."""
     cell = camera.width / CELLS
     footprints = []
     for points in (a, b):
         pixels = geometry.project(points[points[:, 2] > 0], camera)
-        footprints.append({tuple(one) for one in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
+        footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
     union = len(footprints[0] | footprints[1])
     return len(footprints[0] & footprints[1]) / union if union else 0.0
 
 
 def _surface(frame: RgbdFrame, mask: BoolMask) -> Float64Array:
-    """(N, 3) points of a mask, camera frame, thinned evenly."""
+    """(N, 3) points of a mask, camera frame, subsampled evenly to `MAX_POINTS`."""
     rows, columns = np.nonzero(mask & frame.valid)
     if len(rows) > MAX_POINTS:
         pick = np.linspace(0, len(rows) - 1, MAX_POINTS).astype(int)
         rows, columns = rows[pick], columns[pick]
-    camera, z = frame.camera, frame.depth[rows, columns].astype(np.float64)
-    return np.stack([(columns - camera.cx) / camera.fx * z, (rows - camera.cy) / camera.fy * z, z], axis=1)
+    depth = frame.depth[rows, columns].astype(np.float64)
+    return geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera)

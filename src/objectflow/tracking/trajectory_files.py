@@ -1,4 +1,4 @@
-"""Trajectories on disk: TUM format, one file an object, and `tracks.json`."""
+"""Trajectories on disk: one file per object in TUM format, and `tracks.json`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from objectflow.typing import Float64Array
 TRACKS = "tracks.json"
 TRAJECTORIES = "trajectories"
 STATIC_TOLERANCE = 1e-9
+"""Largest deviation of a static camera's pose from the identity, per matrix entry."""
 
 
 def write_tracks(folder: Path, tracker: Tracker) -> None:
-    """Write `tracks.json`, `trajectories/object_001.txt` and so on, and `trajectories/camera.txt` if it moved.
+    """Write `tracks.json`, `trajectories/object_001.txt` etc., and `trajectories/camera.txt` if the camera moved.
 
     Args:
-        folder: exists; earlier files of these names are replaced.
+        folder: must exist; files of these names are replaced.
         tracker: after the last pair.
 
     Raises:
-        StorageError: the disk refused.
+        StorageError: a file cannot be written.
     """
     trajectories: dict[str, str] = {}
     if any(np.abs(pose - np.eye(4)).max() > STATIC_TOLERANCE for pose in tracker.world_T_camera):
@@ -42,11 +43,11 @@ def write_tracks(folder: Path, tracker: Tracker) -> None:
 
 
 def tum_lines(times: Sequence[float], poses: Sequence[Float64Array]) -> str:
-    """`timestamp tx ty tz qx qy qz qw` a line, as the TUM RGB-D benchmark's tools read trajectories.
+    """Format a trajectory as `timestamp tx ty tz qx qy qz qw` lines, the format of the TUM RGB-D benchmark's tools.
 
     Args:
         times: seconds, or frame numbers.
-        poses: (4, 4) of each, metres.
+        poses: one (4, 4) per time, metres.
     """
     lines = ["# timestamp tx ty tz qx qy qz qw"]
     for time, pose in zip(times, poses, strict=True):

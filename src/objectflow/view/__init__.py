@@ -1,4 +1,4 @@
-"""Pictures of a result, fit for a paper."""
+"""Publication-quality pictures of a result."""
 
 from objectflow.view.flow import draw_flow
 from objectflow.view.overlay import draw_overlay

@@ -1,4 +1,4 @@
-"""A picture to draw on: anti-aliased shapes and text with OpenCV, in RGB and in fractions of a pixel."""
+"""Anti-aliased drawing of shapes and text with OpenCV, in RGB and with sub-pixel coordinates."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from objectflow.view.colors import Rgb
 Point = tuple[float, float]
 
 _SHIFT = 4
-"""OpenCV's fixed-point bits: 1/16 pixel."""
+"""Fractional bits of OpenCV's fixed-point coordinates, i.e. 1/16 pixel."""
 
 
 def blend(image: UInt8Array, color: Rgb, alpha: NDArray[Any]) -> UInt8Array:
-    """Lay a colour over an (H, W, 3) image with an (H, W) opacity in 0..1."""
+    """Blend a colour over an (H, W, 3) image with an (H, W) opacity in 0..1."""
     opacity = np.asarray(alpha, dtype=np.float32)[..., None]
     mixed = image.astype(np.float32)
     mixed += (np.array(color, dtype=np.float32) - mixed) * opacity
@@ -42,14 +42,14 @@ def disk(image: UInt8Array, center: Point, radius: float, color: Rgb) -> None:
 
 
 def arrow(image: UInt8Array, start: Point, end: Point, color: Rgb, width: float, edge: Rgb) -> None:
-    """Draw an arrow with a solid head and a rim in `edge` that keeps it readable on any ground."""
+    """Draw an arrow with a solid head and an outline in `edge`, visible on any background."""
     a, b = np.array(start), np.array(end)
     length = float(np.linalg.norm(b - a))
     if length < 1e-6:
         return
     along = (b - a) / length
     side = np.array([-along[1], along[0]])
-    # A short arrow is mostly head.
+    # The head of a short arrow takes up to 75% of its length.
     head = min(4.2 * width, 0.75 * length)
     neck = b - along * head
     for rim, shade in ((max(1.5, 0.45 * width), edge), (0.0, color)):
@@ -63,7 +63,7 @@ def arrow(image: UInt8Array, start: Point, end: Point, color: Rgb, width: float,
 
 
 def text_size(text: str, size: float, *, bold: bool = False) -> tuple[float, float]:
-    """Width and height of capitals of a line of text, in pixels, drawn with `size` pixels a line."""
+    """Width of a line of text and height of its capitals, pixels, at a line height of `size` pixels."""
     if hasattr(cv2, "FontFace"):
         x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), _points(size), 600 if bold else 400)
         return float(x + width), 0.72 * size
@@ -74,10 +74,10 @@ def text_size(text: str, size: float, *, bold: bool = False) -> tuple[float, flo
 def write(
     image: UInt8Array, text: str, left: float, baseline: float, size: float, color: Rgb, *, bold: bool = False
 ) -> None:
-    """Write a line of text; `left` and `baseline` are where its first letter stands."""
+    """Write a line of text whose first letter starts at (`left`, `baseline`)."""
     origin = (round(left), round(baseline))
     if hasattr(cv2, "FontFace"):
-        # OpenCV 5 brings a real font.
+        # OpenCV 5 has TrueType fonts.
         cv2.putText(image, text, origin, color, _font(), _points(size), 600 if bold else 400)
     else:
         cv2.putText(
@@ -90,7 +90,7 @@ def _font() -> Any:
 
 
 def _ascii(text: str) -> str:
-    """OpenCV 4's stroke font has no degree sign."""
+    """Replace the degree sign, which OpenCV 4's stroke font lacks."""
     return text.replace("°", " deg")
 
 

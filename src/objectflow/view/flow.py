@@ -1,4 +1,4 @@
-"""`flow.png`: the scene flow in colours, with a legend."""
+"""`flow.png`: the scene flow in false colours, with a legend."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from objectflow.view import canvas, colors
 from objectflow.view.colors import INK, NO_DEPTH
 
 TARGET_WIDTH = 640
-"""Pixels of each of the two panels at least; smaller images are enlarged by a whole factor."""
+"""Minimum width of each of the two panels, pixels; smaller images are enlarged by an integer factor."""
 
 SMALLEST_RANGE = 0.01
-"""Metres. Noise below it stays pale instead of filling the picture with colour."""
+"""Minimum displacement at full colour, metres, so that noise stays pale."""
 
 
 def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
-    """Draw how every point moved from the previous frame to the current one.
+    """Draw the motion of every point from the previous to the current frame.
 
-    Both panels show the current frame's pixels, forward in time (the negative of `scene_flow`): on the left the
-    motion across the image (hue = direction, strength = length), on the right the motion in depth. Pixels without
-    depth are grey; the frame's brightness shines through faintly, for orientation.
+    Both panels show motion forward in time (the negative of `scene_flow`) on the current frame's pixels: the left
+    panel the motion across the image (hue = direction, saturation = length), the right panel the motion in depth.
+    Pixels without depth are grey; the image is faintly visible for orientation.
 
     Returns:
         (H', W', 3) uint8 RGB.
@@ -46,10 +46,10 @@ def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
     for left, picture in zip(lefts, panels, strict=True):
         sheet[title : title + height, left : left + width] = picture
         cv2.rectangle(sheet, (left, title), (left + width - 1, title + height - 1), (173, 181, 189), 1)
-    for left, words in zip(
+    for left, text in zip(
         lefts, ("Motion across the image, previous to current frame", "Motion in depth"), strict=True
     ):
-        canvas.write(sheet, words, left, title - 11 * unit, 18 * unit, INK, bold=True)
+        canvas.write(sheet, text, left, title - 11 * unit, 18 * unit, INK, bold=True)
     top = title + height
     _draw_wheel(sheet, lefts[0] + 52 * unit, top + legend / 2, 38 * unit, full, unit)
     _draw_no_depth(sheet, lefts[0] + width, top + legend / 2, unit)
@@ -58,9 +58,9 @@ def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
 
 
 def flow_range(moved: Float64Array) -> float:
-    """The length in metres that gets the full colour: a round number above nearly all (N, 3) displacements."""
+    """The length in metres at full colour: a round number above the 98th percentile of (N, 3) displacements."""
     lengths = np.linalg.norm(moved, axis=-1)
-    # Objects may be a small part of the image: the percentile is of what moves at all.
+    # Static points are excluded, since objects may cover only a small part of the image.
     lengths = lengths[lengths > SMALLEST_RANGE / 4]
     largest = float(np.percentile(lengths, 98)) if len(lengths) else 0.0
     if largest <= SMALLEST_RANGE:
@@ -75,12 +75,12 @@ def _panel(picture: UInt8Array, known: BoolMask, color: UInt8Array, scale: int) 
     shaded[~known] = np.array(NO_DEPTH) * 0.92
     image = np.rint(shaded).astype(np.uint8)
     size = (image.shape[1] * scale, image.shape[0] * scale)
-    # Nearest: between two flows there is no third one.
+    # Nearest neighbour, because interpolated flow across an edge would be meaningless.
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
 def _draw_wheel(sheet: UInt8Array, x: float, y: float, radius: float, full: float, unit: float) -> None:
-    """The wheel of directions, and what its rim stands for."""
+    """Draw the colour wheel of directions and the length at its rim."""
     half = math.ceil(radius) + 2
     cx, cy = round(x), round(y)
     down, right = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
@@ -94,8 +94,8 @@ def _draw_wheel(sheet: UInt8Array, x: float, y: float, radius: float, full: floa
 
 
 def _draw_no_depth(sheet: UInt8Array, right: float, y: float, unit: float) -> None:
-    words = "no depth"
-    width, height = canvas.text_size(words, 15 * unit)
+    text = "no depth"
+    width, height = canvas.text_size(text, 15 * unit)
     left = right - width
     side = 18 * unit
     x = left - side - 8 * unit
@@ -103,11 +103,11 @@ def _draw_no_depth(sheet: UInt8Array, right: float, y: float, unit: float) -> No
     canvas.polygon(
         sheet, [(x, y - side / 2), (x + side, y - side / 2), (x + side, y + side / 2), (x, y + side / 2)], shade
     )
-    canvas.write(sheet, words, left, y + height / 2, 15 * unit, INK)
+    canvas.write(sheet, text, left, y + height / 2, 15 * unit, INK)
 
 
 def _draw_bar(sheet: UInt8Array, left: int, top: float, width: int, full: float, unit: float) -> None:
-    """The bar from towards the camera to away from it, with ticks."""
+    """Draw the colour bar of depth motion, with ticks."""
     start, end = left + round(60 * unit), left + width - round(60 * unit)
     y0, y1 = round(top), round(top + 20 * unit)
     ramp = colors.diverging(np.linspace(-1, 1, end - start))
@@ -117,11 +117,11 @@ def _draw_bar(sheet: UInt8Array, left: int, top: float, width: int, full: float,
         x = start + (value + 1) / 2 * (end - start - 1)
         canvas.line(sheet, [(x, y1), (x, y1 + 5 * unit)], INK, round(unit))
         sign = "-" if value < 0 else "+" if value > 0 else ""
-        words = f"{sign}{_centimetres(abs(value) * full)}" if value else "0"
-        canvas.write(sheet, words, x - canvas.text_size(words, 14 * unit)[0] / 2, y1 + 20 * unit, 14 * unit, INK)
-    for words, x in (("towards the camera", start), ("away from it", end)):
-        shift = 0.0 if x == start else canvas.text_size(words, 15 * unit)[0]
-        canvas.write(sheet, words, x - shift, y1 + 44 * unit, 15 * unit, INK)
+        text = f"{sign}{_centimetres(abs(value) * full)}" if value else "0"
+        canvas.write(sheet, text, x - canvas.text_size(text, 14 * unit)[0] / 2, y1 + 20 * unit, 14 * unit, INK)
+    for text, x in (("towards the camera", start), ("away from it", end)):
+        shift = 0.0 if x == start else canvas.text_size(text, 15 * unit)[0]
+        canvas.write(sheet, text, x - shift, y1 + 44 * unit, 15 * unit, INK)
 
 
 def _centimetres(metres: float) -> str:

@@ -1,4 +1,4 @@
-"""`overlay.png`: masks, outlines, ids and arrows of motion over the current frame."""
+"""`overlay.png`: masks, outlines, ids and motion arrows over the current frame."""
 
 from __future__ import annotations
 
@@ -16,81 +16,82 @@ from objectflow.view import canvas
 from objectflow.view.colors import INK, PAPER, Rgb, object_color
 
 TARGET_WIDTH = 960
-"""Pixels. Smaller images are enlarged by a whole factor to at least this, so that text and outlines are crisp."""
+"""Minimum width, pixels; smaller images are enlarged by an integer factor so that text and outlines are crisp."""
 
 
 def draw_overlay(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
     """Draw the objects over the current frame.
 
-    Moving objects are filled, with an arrow from where their centre was to where it is; still ones are outlined.
+    Moving objects are filled and have an arrow from their centre's previous to its current position; static objects
+    are outlined.
 
     Args:
         curr: the current frame, (H, W).
-        motion: its result, on the same pixels.
+        motion: its result, of the same size.
 
     Returns:
-        (s H, s W, 3) uint8 RGB, with a whole factor s >= 1.
+        (s H, s W, 3) uint8 RGB, with an integer factor s >= 1.
     """
     scale = math.ceil(TARGET_WIDTH / curr.camera.width)
     size = (curr.camera.width * scale, curr.camera.height * scale)
     unit = max(size) / 960
     photo = np.asarray(cv2.resize(curr.color, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
     grey = cv2.cvtColor(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    # The background steps back (paler, less colour) so that the objects' own colours stand out.
+    # The image is desaturated and brightened so that the objects stand out.
     image = np.asarray(cv2.addWeighted(photo, 0.55, cv2.addWeighted(grey, 0.85, grey, 0, 38), 0.45, 0), dtype=np.uint8)
-    shown = sorted(motion.objects, key=lambda obj: obj.moving)
-    for obj in shown:
+    ordered = sorted(motion.objects, key=lambda obj: obj.moving)
+    for obj in ordered:
         image = _draw_mask(image, photo, motion.labels == obj.id, obj, scale, unit)
-    chips = []
-    for obj in shown:
+    tags = []
+    for obj in ordered:
         if not (motion.labels == obj.id).any():
             continue
         anchor = _anchor(motion.labels == obj.id, scale)
         if obj.moving:
             anchor = _draw_arrow(image, curr, obj, scale, unit) or anchor
-        chips.append((obj, anchor))
-    for obj, anchor in chips:
-        _draw_chip(image, obj, anchor, unit)
+        tags.append((obj, anchor))
+    for obj, anchor in tags:
+        _draw_tag(image, obj, anchor, unit)
     return image
 
 
 def _draw_mask(
     image: UInt8Array, photo: UInt8Array, mask: BoolMask, obj: ObjectMotion, scale: int, unit: float
 ) -> UInt8Array:
-    """Fill and outline a mask along a smooth border."""
+    """Outline a mask smoothly, and fill it if the object moves."""
     distance = _signed_distance(mask, scale)
     inside = np.clip(distance + 0.5, 0, 1)
     color = object_color(obj.id)
     if obj.moving:
-        own = image.astype(np.float32)
-        own += (photo - own) * inside[..., None]
-        image = canvas.blend(np.rint(own).astype(np.uint8), color, 0.38 * inside)
+        restored = image.astype(np.float32)
+        restored += (photo - restored) * inside[..., None]
+        image = canvas.blend(np.rint(restored).astype(np.uint8), color, 0.38 * inside)
     width = (1.6 if obj.moving else 1.1) * unit
     image = canvas.blend(image, PAPER, 0.85 * np.clip(width + 1.2 * unit + 0.5 - np.abs(distance), 0, 1))
     return canvas.blend(image, color, np.clip(width + 0.5 - np.abs(distance), 0, 1))
 
 
 def _signed_distance(mask: BoolMask, scale: int) -> Float32Array:
-    """Pixels to the border of an enlarged mask, positive inside; its stairs are smoothed away."""
+    """Signed distance to the smoothed border of an enlarged mask, pixels, positive inside."""
     size = (mask.shape[1] * scale, mask.shape[0] * scale)
     soft = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR)
     soft = cv2.GaussianBlur(soft, (0, 0), sigmaX=0.6 * scale + 0.4, borderType=cv2.BORDER_REPLICATE)
     inside = np.asarray(soft > 0.5, dtype=np.uint8)
     into = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     out = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    # Both count from the nearest pixel of the other side: the border lies half a pixel before it.
+    # Both distances are to the nearest pixel of the other side; the border lies half a pixel before it.
     return np.where(inside > 0, into - 0.5, 0.5 - out).astype(np.float32)
 
 
 def _anchor(mask: BoolMask, scale: int) -> canvas.Point:
-    """The point of a mask that is furthest from its border, in the enlarged picture."""
-    depth_inside = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    v, u = np.unravel_index(int(np.argmax(depth_inside)), mask.shape)
+    """The mask's point furthest from its border, in coordinates of the enlarged picture."""
+    distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    v, u = np.unravel_index(int(np.argmax(distance)), mask.shape)
     return _enlarge(float(u), float(v), scale)
 
 
 def _draw_arrow(image: UInt8Array, curr: RgbdFrame, obj: ObjectMotion, scale: int, unit: float) -> canvas.Point | None:
-    """Draw the way of the centre through the image; return its end, or None if it cannot be seen."""
+    """Draw the displacement of the centre in the image and return its end, or None if it is out of view."""
     ends = geometry.project(np.stack([obj.center + obj.translation, obj.center]), curr.camera)
     if not np.isfinite(ends).all() or np.abs(ends).max() > 4 * max(curr.camera.width, curr.camera.height):
         return None
@@ -102,8 +103,8 @@ def _draw_arrow(image: UInt8Array, curr: RgbdFrame, obj: ObjectMotion, scale: in
     return end
 
 
-def _draw_chip(image: UInt8Array, obj: ObjectMotion, anchor: canvas.Point, unit: float) -> None:
-    """A rounded label beside the anchor: the id and, if the object moved, how far and how much it turned."""
+def _draw_tag(image: UInt8Array, obj: ObjectMotion, anchor: canvas.Point, unit: float) -> None:
+    """Draw a rounded tag beside the anchor: the id and, for moving objects, displacement and rotation."""
     size = 17 * unit
     number = str(obj.id)
     caption = ""
@@ -139,5 +140,5 @@ def _rounded(
 
 
 def _enlarge(u: float, v: float, scale: int) -> canvas.Point:
-    """Pixel centres are whole in both pictures: the corner is at (-0.5, -0.5)."""
+    """Map a point to the enlarged picture; in both, pixel centres are integers and the corner is (-0.5, -0.5)."""
     return (u + 0.5) * scale - 0.5, (v + 0.5) * scale - 0.5

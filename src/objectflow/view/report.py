@@ -1,4 +1,4 @@
-"""`report.html`: an evaluation as one file that opens anywhere, with tables, plots, a gallery and 3D views."""
+"""`report.html`: an evaluation as one self-contained file with tables, plots, a gallery and 3D views."""
 
 from __future__ import annotations
 
@@ -16,24 +16,22 @@ from objectflow.view.report_page.pair_block import make_pair_block
 from objectflow.view.report_page.tables import failures_html, tables_html
 
 MAX_PAIRS = 60
-"""Of the gallery. A pair takes more bytes the more methods and the noisier their flow; the points are bounded."""
+"""Default maximum number of pairs in the gallery; their size grows with the number of methods and the flow noise."""
 
 
 def write_report(path: Path, evaluation: Evaluation, source: PairSource, *, max_pairs: int = MAX_PAIRS) -> None:
-    """Write the report: one file without anything to load, whole or not at all.
-
-    The same evaluation gives the same bytes.
+    """Write the report as one self-contained file, atomically; the same evaluation gives the same bytes.
 
     Args:
         path: of the HTML file.
-        evaluation: what was found.
-        source: the pictures behind it.
-        max_pairs: how many pairs the gallery shows at most: the worst, the best, and some between. 0 for none.
+        evaluation: the scores.
+        source: the frames, truths and predictions of the pairs.
+        max_pairs: maximum number of pairs in the gallery: the worst, the best and some between. 0 for none.
 
     Raises:
         ResultError: `max_pairs` is negative.
         DatasetError: a pair cannot be read.
-        StorageError: the disk refused.
+        StorageError: the file cannot be written.
     """
     if max_pairs < 0:
         raise ResultError(f"the report's gallery cannot show {max_pairs} pairs: ask for 0 or more")
@@ -41,7 +39,7 @@ def write_report(path: Path, evaluation: Evaluation, source: PairSource, *, max_
     title = f"objectflow evaluation: {evaluation.data}"
     tables = make_tables(evaluation)
     blocks = [json_block("report-data", report_numbers(evaluation, tables.tables, chosen))]
-    blocks += [_pair_block(evaluation, source, place, index) for place, index in enumerate(chosen)]
+    blocks += [_pair_block(evaluation, source, position, index) for position, index in enumerate(chosen)]
     page = assemble(
         {
             "title": escape(title),
@@ -56,12 +54,12 @@ def write_report(path: Path, evaluation: Evaluation, source: PairSource, *, max_
     files.write_text(path, page)
 
 
-def _pair_block(evaluation: Evaluation, source: PairSource, place: int, index: int) -> str:
+def _pair_block(evaluation: Evaluation, source: PairSource, position: int, index: int) -> str:
     key = evaluation.pairs[index].key
     scores = {m: score for m, method in enumerate(evaluation.methods) if (score := method.score(key)) is not None}
     found = ((m, source.prediction(evaluation.methods[m].label, key)) for m in scores)
     predictions = {m: motion for m, motion in found if motion is not None}
-    return json_block(f"pair-data-{place}", make_pair_block(source.pair(key), predictions, scores))
+    return json_block(f"pair-data-{position}", make_pair_block(source.pair(key), predictions, scores))
 
 
 def _facts(evaluation: Evaluation) -> str:
@@ -82,6 +80,6 @@ def _gallery_note(evaluation: Evaluation, chosen: Sequence[int]) -> str:
     if len(chosen) == count:
         return f"All {count} pairs."
     return (
-        f"{len(chosen)} of {count} pairs: a third with the lowest, a third with the highest mean-F over the methods, "
-        "the others spread over the ranks between. Tables and plots are of all pairs."
+        f"{len(chosen)} of {count} pairs: one third with the lowest and one third with the highest mean-F over the "
+        "methods, the others spread evenly over the ranks between. Tables and plots cover all pairs."
     )

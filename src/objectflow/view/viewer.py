@@ -1,4 +1,4 @@
-"""A viewer that may be off: whoever shows something need not know."""
+"""The viewer interface, with a null object for callers without a viewer."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from objectflow.view.viewer_frames import ViewerFrame
 
 
 class Viewer(Protocol):
-    """Shows moments; use it in a `with` block, which finishes a file that is saved."""
+    """Shows frames; use it in a `with` block, which completes the saved file."""
 
     def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
-        """Show what `make` returns; a viewer that is off never calls it, so that it costs nothing."""
+        """Show the frames that `make` returns; `NoViewer` never calls it, so it costs nothing."""
 
     def __enter__(self) -> Viewer: ...
 
@@ -25,7 +25,7 @@ class Viewer(Protocol):
 
 
 class NoViewer:
-    """The viewer that is off."""
+    """A viewer that shows nothing."""
 
     def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
         """Do nothing."""
@@ -40,21 +40,21 @@ class NoViewer:
 
 
 def open_viewer(title: str, *, window: bool = False, save: Path | None = None, web: bool = False) -> Viewer:
-    """The viewer that was asked for.
+    """Open rerun's viewer, or a `NoViewer` if no output is requested.
 
     Args:
         title: of the recording.
         window: open rerun's window.
         save: write an .rrd file, which appears when the viewer is closed without an error.
-        web: serve the web viewer; its address is printed.
+        web: serve the web viewer; `RerunViewer.address` holds its address.
 
     Raises:
         MissingExtraError: rerun is not installed.
-        ViewerError: there is no display for a window, or no port.
+        ViewerError: there is no display for a window, or no free port.
         StorageError: the file cannot be written.
     """
     if not (window or save or web):
         return NoViewer()
-    # rerun is imported there alone, and only when somebody wants to see something.
+    # Imported here because rerun is optional and slow to import.
     module = importlib.import_module("objectflow.view.rerun_view")
     return cast(Viewer, module.RerunViewer(title, window=window, save=save, web=web))

@@ -1,4 +1,4 @@
-"""`pd-flow` whole: on scenes with known motion, beside the authors' VO-SF, and on inputs of every kind."""
+"""`pd-flow` on scenes with known motion, against the VO-SF authors' output, and on edge-case inputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import objectflow
 from helpers.authors_program import DATA, PROGRAM, needs_program, vo_sf_program
 from helpers.odd_inputs import TINY_SIZES, nearly_without_depth, random_pair, with_holes
 from objectflow import RgbdFrame
-from objectflow.alignment import matching
+from objectflow.alignment.appearance import to_gray
 from objectflow.errors import FrameError, MethodError
 from objectflow.geometry import torch_pinhole
 from objectflow.methods.baselines.pd_flow.estimator import estimate
@@ -23,19 +23,19 @@ from objectflow.methods.baselines.pd_flow.pyramid import Images
 
 @cache
 def scene(seed: int) -> analytic.AnalyticPair:
-    """Objects that move by less than a centimetre."""
+    """A scene with displacements below 1 cm."""
     return analytic.make_scene(seed, objects=(2, 4), motion=(0.003, 0.008), max_angle_deg=3)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_small_smooth_motion_is_found(seed: int) -> None:
+def test_small_smooth_motion_is_estimated(seed: int) -> None:
     pair = scene(seed)
     motion = objectflow.load("pd-flow", device="cpu")(pair.prev, pair.curr)
     moving = np.isin(pair.labels, list(pair.moving))
     error = np.linalg.norm(motion.scene_flow - pair.scene_flow, axis=-1)
     moved = np.linalg.norm(pair.scene_flow, axis=-1)
     assert moved.max() < 0.012
-    # Zero flow's error is the motion itself.
+    # The error of zero flow is the motion itself.
     assert error[moving].mean() < moved[moving].mean() / 3
     assert error.mean() < moved.mean() / 3
     assert (motion.labels == 0).all()
@@ -43,34 +43,34 @@ def test_small_smooth_motion_is_found(seed: int) -> None:
 
 
 @needs_program
-def test_the_robot_moves_where_the_authors_vo_sf_says() -> None:
+def test_the_flow_of_the_robot_agrees_with_the_authors_vo_sf() -> None:
     prev, curr = vo_sf_program.read_pair(DATA / "robot")
     output = vo_sf_program.read_output(PROGRAM / "robot")
     motion = objectflow.load("pd-flow", device="cpu")(prev, curr)
     assert vo_sf_program.compare(motion, output)["angle deg"] < 20
-    ours, theirs = (np.linalg.norm(flow[output.moves], axis=-1) for flow in (motion.scene_flow, output.flow))
-    assert 0.8 < np.median(ours) / np.median(theirs) < 1.25
+    length, reference = (np.linalg.norm(flow[output.moving], axis=-1) for flow in (motion.scene_flow, output.flow))
+    assert 0.8 < np.median(length) / np.median(reference) < 1.25
 
 
 def images(frames: list[RgbdFrame], device: str = "cpu") -> Images:
     return Images(
-        torch.stack([torch.from_numpy(matching.gray(f.color)).float()[None] for f in frames]).to(device),
+        torch.stack([torch.from_numpy(to_gray(f.color)).float()[None] for f in frames]).to(device),
         torch.stack([torch.from_numpy(f.depth)[None] for f in frames]).to(device),
         torch.stack([torch_pinhole.intrinsics(f.camera) for f in frames]).to(device),
     )
 
 
-def test_a_batch_gives_what_its_pairs_give_alone() -> None:
+def test_a_batch_gives_the_same_flow_as_single_pairs() -> None:
     small = [scene(k) for k in (0, 1)]
     prev, curr = ([getattr(pair, name).resized(160, 128) for pair in small] for name in ("prev", "curr"))
-    together = estimate(images(curr), images(prev))
+    batch = estimate(images(curr), images(prev))
     for k in (0, 1):
-        alone = estimate(images(curr[k : k + 1]), images(prev[k : k + 1]))
-        np.testing.assert_allclose(together[k], alone[0], atol=2e-3)
+        single = estimate(images(curr[k : k + 1]), images(prev[k : k + 1]))
+        np.testing.assert_allclose(batch[k], single[0], atol=2e-3)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-def test_cuda_gives_what_the_cpu_gives() -> None:
+def test_cuda_agrees_with_the_cpu() -> None:
     pair = scene(0)
     cpu = estimate(images([pair.curr]), images([pair.prev]))
     cuda = estimate(images([pair.curr], "cuda"), images([pair.prev], "cuda")).cpu()
@@ -86,7 +86,7 @@ def test_a_larger_image_gives_the_same_motion() -> None:
     assert error.mean() < np.linalg.norm(pair.scene_flow, axis=-1)[moving].mean() / 3
 
 
-def test_still_frames_have_no_flow() -> None:
+def test_identical_frames_have_no_flow() -> None:
     frame = scene(0).curr
     motion = objectflow.load("pd-flow", device="cpu")(frame, frame)
     assert np.abs(motion.scene_flow).max() < 1e-6
@@ -108,16 +108,16 @@ def test_tiny_images_work(size: tuple[int, int]) -> None:
     assert np.isfinite(motion.scene_flow).all()
 
 
-def test_absurd_depth_does_no_harm() -> None:
+def test_implausible_depth_is_ignored() -> None:
     frame = scene(0).curr
     depth = frame.depth.copy()
     depth[:50], depth[60] = 1e30, 1e-30
-    absurd = dataclasses.replace(frame, depth=depth)
-    flow = objectflow.load("pd-flow")(absurd, absurd).scene_flow
+    implausible = dataclasses.replace(frame, depth=depth)
+    flow = objectflow.load("pd-flow")(implausible, implausible).scene_flow
     assert np.abs(flow[70:]).max() < 1e-6
 
 
-def test_devices_that_are_not_there_are_refused() -> None:
+def test_missing_devices_are_refused() -> None:
     with pytest.raises(MethodError, match="device"):
         objectflow.load("pd-flow", device="abacus")
     with pytest.raises(MethodError, match="device"):

@@ -1,4 +1,4 @@
-"""The steps of `pd-flow`, each against something simpler that says the same."""
+"""The steps of `pd-flow`, each against a simpler reference implementation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from torch import Tensor
 
 import analytic
 from objectflow import Camera, geometry
-from objectflow.alignment import matching
+from objectflow.alignment.appearance import to_gray
 from objectflow.geometry import torch_pinhole
-from objectflow.methods.baselines.enlarge import upsample_guided as to_input
+from objectflow.methods.baselines.guided_upsampling import upsample_guided
 from objectflow.methods.baselines.pd_flow import linearise, median, primal_dual, pyramid
 from objectflow.methods.baselines.pd_flow.estimator import lift
 from objectflow.methods.baselines.pd_flow.primal_dual import State
@@ -34,7 +34,7 @@ def random_images(seed: int = 0, *, batch: int = 1, height: int = 48, width: int
 # --- pyramid ---
 
 
-def test_gray_is_smoothed_by_the_binomial_mask_and_every_second_pixel_kept() -> None:
+def test_gray_is_filtered_by_the_binomial_kernel_and_subsampled() -> None:
     images = random_images()
     coarse = pyramid.build_pyramid(images, 2)[1]
     row = np.array([1, 4, 6, 4, 1]) / 16
@@ -43,7 +43,7 @@ def test_gray_is_smoothed_by_the_binomial_mask_and_every_second_pixel_kept() -> 
     np.testing.assert_allclose(coarse.intrinsics, K / 2)
 
 
-def test_borders_are_means_and_levels_halve() -> None:
+def test_levels_halve_and_constants_are_preserved() -> None:
     images = random_images()._replace(gray=torch.full((1, 1, 48, 64), 80.0), depth=torch.full((1, 1, 48, 64), 1.5))
     levels = pyramid.build_pyramid(images)
     assert [tuple(level.depth.shape[2:]) for level in levels] == [(48, 64), (24, 32), (12, 16), (6, 8), (3, 4)]
@@ -52,19 +52,19 @@ def test_borders_are_means_and_levels_halve() -> None:
         np.testing.assert_allclose(level.depth, 1.5, rtol=1e-5)
 
 
-def test_depth_is_not_mixed_across_edges_and_holes_stay() -> None:
+def test_depth_is_not_mixed_across_edges_and_holes_remain() -> None:
     depth = torch.full((1, 1, 48, 64), 2.0)
     depth[..., 20:, 17:] = 1.2
     depth[..., 10, 10] = 0
     depth[..., 31, 31] = 0
     coarse = pyramid.build_pyramid(random_images()._replace(depth=depth), 2)[1].depth[0, 0]
-    assert coarse[5, 5] == 0  # the pixel that is kept was missing
+    assert coarse[5, 5] == 0  # The pixel that is kept was missing.
     assert (coarse > 0).sum() == coarse.numel() - 1
     known = coarse[coarse > 0]
     assert torch.minimum((known - 2).abs(), (known - 1.2).abs()).max() < 1e-5
 
 
-def test_enlarging_keeps_planes() -> None:
+def test_upsampling_preserves_planes() -> None:
     v, u = torch.meshgrid(torch.arange(6.0), torch.arange(8.0), indexing="ij")
     fine = pyramid.upsample_flow((3 + 2 * u - v)[None, None])[0, 0]
     v, u = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
@@ -75,13 +75,13 @@ def test_enlarging_keeps_planes() -> None:
 # --- linearisation ---
 
 
-def test_derivatives_are_taken_where_the_flow_leads() -> None:
+def test_derivatives_are_taken_at_the_warped_pixels() -> None:
     v, u = np.mgrid[0:48, 0:64].astype(np.float32)
     plane = lambda x, y: (20 + 3 * x - 2 * y, 1 + 0.004 * x + 0.002 * y)  # noqa: E731
     second = random_images()._replace(**dict(zip(("gray", "depth"), _maps(*plane(u, v)), strict=True)))
     first = random_images()._replace(**dict(zip(("gray", "depth"), _maps(*plane(u + 2.3, v - 1.6)), strict=True)))
-    before = torch.tensor([2.3, -1.6])[None, :, None, None].expand(1, 2, 48, 64)
-    level = linearise.linearise(first, second, before)
+    flow = torch.tensor([2.3, -1.6])[None, :, None, None].expand(1, 2, 48, 64)
+    level = linearise.linearise(first, second, flow)
     inner = np.s_[0, :, 5:-5, 5:-5]
     for found, expected in ((level.gray, (3, -2, 0)), (level.depth, (0.004, 0.002, 0))):
         flat = np.broadcast_to(np.array(expected)[:, None, None], found[inner].shape)
@@ -93,25 +93,25 @@ def _maps(gray: Float32Array, depth: Float32Array) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(gray)[None, None], torch.from_numpy(depth)[None, None]
 
 
-def test_sampling_is_bilinear_and_stops_at_the_border() -> None:
+def test_sampling_is_bilinear_and_clamped_to_the_image() -> None:
     first, second = random_images(1), random_images(2)
-    before = 6 * torch.randn(1, 2, 48, 64, generator=torch.Generator().manual_seed(3))
-    level = linearise.linearise(first, second, before)
+    flow = 6 * torch.randn(1, 2, 48, 64, generator=torch.Generator().manual_seed(3))
+    level = linearise.linearise(first, second, flow)
     v, u = np.mgrid[0:48, 0:64]
-    at = [v + before[0, 1].numpy(), u + before[0, 0].numpy()]
+    coordinates = [v + flow[0, 1].numpy(), u + flow[0, 0].numpy()]
     for change, a, b in ((level.gray, first.gray, second.gray), (level.depth, first.depth, second.depth)):
-        expected = ndimage.map_coordinates(b[0, 0].numpy(), at, order=1, mode="nearest") - a[0, 0].numpy()
+        expected = ndimage.map_coordinates(b[0, 0].numpy(), coordinates, order=1, mode="nearest") - a[0, 0].numpy()
         np.testing.assert_allclose(change[0, 2], expected, atol=2e-3)
 
 
-def test_depth_beside_a_hole_is_the_nearest_pixels_and_in_it_says_nothing() -> None:
+def test_depth_beside_a_hole_is_that_of_the_nearest_pixel_and_in_it_unknown() -> None:
     second = random_images()
     depth = second.depth.clone()
     depth[..., 20, 30] = 0
-    before = torch.zeros(1, 2, 48, 64)
-    before[0, 0, 20, 28], before[0, 0, 20, 27] = 1.3, 2.8  # to (29.3, 20) and (29.8, 20)
+    flow = torch.zeros(1, 2, 48, 64)
+    flow[0, 0, 20, 28], flow[0, 0, 20, 27] = 1.3, 2.8  # To (29.3, 20) and (29.8, 20).
     first = random_images(5)
-    level = linearise.linearise(first, second._replace(depth=depth), before)
+    level = linearise.linearise(first, second._replace(depth=depth), flow)
     np.testing.assert_allclose(level.depth[0, 2, 20, 28], depth[0, 0, 20, 29] - first.depth[0, 0, 20, 28], atol=1e-6)
     assert level.depth[0, 2, 20, 27] == 0
     assert level.depth[0, 2, 20, 30] == 0
@@ -137,15 +137,15 @@ def small_level() -> linearise.Level:
     first, second = (
         pyramid.build_pyramid(
             pyramid.Images(
-                torch.from_numpy(matching.gray(frame.color)).double()[None, None],
+                torch.from_numpy(to_gray(frame.color)).double()[None, None],
                 torch.from_numpy(frame.depth).double()[None, None],
                 torch_pinhole.intrinsics(frame.camera).double()[None],
             )
         )[3]
         for frame in (pair.curr, pair.prev)
     )
-    before = 0.2 * torch.randn(1, 2, 30, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    return linearise.linearise(first, second, before)
+    flow = 0.2 * torch.randn(1, 2, 30, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    return linearise.linearise(first, second, flow)
 
 
 def start() -> State:
@@ -159,23 +159,22 @@ def after(iterations: int) -> State:
 
 
 def dual_value(level: linearise.Level, state: State, box: float) -> float:
-    """A lower bound of the energy over |u|, |v|, |w| <= box, from the dual variables (weak duality)."""
+    """Lower bound of the energy over |u|, |v|, |w| <= box from the dual variables (weak duality)."""
     weight = primal_dual.smooth_weights(level.metric)[0].numpy() * state.smooth_dual[0].numpy()
     pd = state.depth_dual[0, 0].numpy()
     mu, (zu, zv, zt), (iu, iv, it) = level.mu[0, 0].numpy(), level.depth[0].numpy(), level.gray[0].numpy()
-    pull = np.zeros((3, *pd.shape))  # the dual variables' effect on each primal one
+    linear = np.zeros((3, *pd.shape))  # Linear terms of the primal variables.
     along_u, along_v = weight[:3], weight[3:]
-    pull[:, :, 1:] += along_u[:, :, :-1]
-    pull[:, :, :-1] -= along_u[:, :, :-1]
-    pull[:, 1:] += along_v[:, :-1]
-    pull[:, :-1] -= along_v[:, :-1]
-    pull += np.stack([zu, zv, -np.ones_like(zu)]) * mu * pd
-    before = level.before[0].numpy()
+    linear[:, :, 1:] += along_u[:, :, :-1]
+    linear[:, :, :-1] -= along_u[:, :, :-1]
+    linear[:, 1:] += along_v[:, :-1]
+    linear[:, :-1] -= along_v[:, :-1]
+    linear += np.stack([zu, zv, -np.ones_like(zu)]) * mu * pd
+    warp = level.warp[0].numpy()
     constant = (mu * zt * pd).sum()
-    constant += (weight[:2, :, :-1] * np.diff(before, axis=2)).sum() + (
-        weight[3:5, :-1] * np.diff(before, axis=1)
-    ).sum()
-    # In u and v: a linear function plus |it + iu u + iv v|, least at a corner of the box or where the line meets it.
+    constant += (weight[:2, :, :-1] * np.diff(warp, axis=2)).sum() + (weight[3:5, :-1] * np.diff(warp, axis=1)).sum()
+    # In u and v, a linear function plus |it + iu u + iv v| has its minimum at a corner of the box or where the line
+    # it + iu u + iv v = 0 intersects the box.
     corners = [(a, b) for a in (-box, box) for b in (-box, box)]
     candidates = [(np.full_like(iu, a), np.full_like(iu, b)) for a, b in corners]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -184,15 +183,15 @@ def dual_value(level: linearise.Level, state: State, box: float) -> float:
         values = [
             np.where(
                 (np.abs(u) <= box) & (np.abs(v) <= box),
-                pull[0] * u + pull[1] * v + np.abs(it + iu * u + iv * v),
+                linear[0] * u + linear[1] * v + np.abs(it + iu * u + iv * v),
                 np.inf,
             )
             for u, v in candidates
         ]
-    return float(constant + np.min(values, axis=0).sum() - box * np.abs(pull[2]).sum())
+    return float(constant + np.min(values, axis=0).sum() - box * np.abs(linear[2]).sum())
 
 
-def test_the_primal_dual_gap_shrinks_to_nothing() -> None:
+def test_the_primal_dual_gap_converges_to_zero() -> None:
     box, gaps = 3.0, []
     for iterations in (10, 40, 160, 2000):
         state = after(iterations)
@@ -204,33 +203,33 @@ def test_the_primal_dual_gap_shrinks_to_nothing() -> None:
     assert gaps[-1] < 0.01 * gaps[0]
 
 
-def test_the_energy_falls_to_where_a_general_optimiser_finds_its_least() -> None:
+def test_the_energy_decreases_to_the_minimum_found_by_a_general_optimiser() -> None:
     level = small_level()
     energies = [float(primal_dual.energy(level, after(n).flow)[0]) for n in (10, 40, 160, 2000)]
     assert energies == sorted(energies, reverse=True)
 
     def smoothed(x: Float64Array) -> tuple[float, Float64Array]:
         flow = torch.from_numpy(x).view(1, 3, 30, 40).requires_grad_()
-        value = _energy_written_out(level, flow, 1e-3)
+        value = reference_energy(level, flow, 1e-3)
         value.backward()  # type: ignore[no-untyped-call]
         assert flow.grad is not None
         return float(value.detach()), flow.grad.numpy().ravel()
 
     options = {"maxiter": 3000, "maxfun": 5000}
     best = optimize.minimize(smoothed, np.zeros(3600), jac=True, method="L-BFGS-B", options=options)
-    least = float(_energy_written_out(level, torch.from_numpy(best.x).view(1, 3, 30, 40), 0.0))
-    assert energies[-1] <= 1.002 * least
-    assert energies[1] < 1.2 * least  # as many iterations as the coarsest level gets
+    minimum = float(reference_energy(level, torch.from_numpy(best.x).view(1, 3, 30, 40), 0.0))
+    assert energies[-1] <= 1.002 * minimum
+    assert energies[1] < 1.2 * minimum  # 40 iterations, as on the coarsest level.
 
 
-def _energy_written_out(level: linearise.Level, flow: Tensor, softness: float) -> Tensor:
-    """The energy term by term; |x| as sqrt(x^2 + softness^2)."""
+def reference_energy(level: linearise.Level, flow: Tensor, softness: float) -> Tensor:
+    """The energy term by term, with |x| as sqrt(x^2 + softness^2)."""
     soft = lambda square: (square + softness**2 + 1e-30).sqrt().sum()  # noqa: E731
     u, v, w = flow[0]
     (iu, iv, it), (zu, zv, zt), mu, (ri, rj) = level.gray[0], level.depth[0], level.mu[0, 0], level.metric[0]
     total = soft((it + iu * u + iv * v).square())
     total = total + soft((mu * (zt + zu * u + zv * v - w)).square())
-    for weight, field in ((0.04, level.before[0, 0] + u), (0.04, level.before[0, 1] + v), (0.35, w)):
+    for weight, field in ((0.04, level.warp[0, 0] + u), (0.04, level.warp[0, 1] + v), (0.35, w)):
         right, down = torch.zeros_like(field), torch.zeros_like(field)
         right[:, :-1] = weight * ri[:, :-1] * (field[:, 1:] - field[:, :-1])
         down[:-1] = weight * rj[:-1] * (field[1:] - field[:-1])
@@ -238,9 +237,9 @@ def _energy_written_out(level: linearise.Level, flow: Tensor, softness: float) -
     return total
 
 
-def test_energy_is_what_its_formula_says() -> None:
+def test_the_energy_follows_its_formula() -> None:
     flow = torch.randn(1, 3, 30, 40, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    expected = float(_energy_written_out(small_level(), flow, 0.0))
+    expected = float(reference_energy(small_level(), flow, 0.0))
     np.testing.assert_allclose(float(primal_dual.energy(small_level(), flow)[0]), expected, rtol=1e-9)
 
 
@@ -253,7 +252,7 @@ def test_duals_stay_in_the_unit_ball() -> None:
 # --- median and lifting ---
 
 
-def test_the_median_is_that_of_sorted_weights() -> None:
+def test_the_median_interpolates_the_sorted_weights() -> None:
     rng = np.random.default_rng(0)
     flow, depth, change = rng.standard_normal((2, 9, 7)), rng.uniform(1, 2, (9, 7)), 0.3 * rng.standard_normal((9, 7))
     depth[4, 4] = 0
@@ -272,7 +271,7 @@ def test_the_median_is_that_of_sorted_weights() -> None:
         np.testing.assert_allclose(found[c, v, u], expected, atol=1e-9)
 
 
-def test_lifted_flow_goes_to_the_point_that_is_seen_there() -> None:
+def test_lifted_flow_leads_to_the_matched_point() -> None:
     camera = Camera(64, 48, 60.0, 62.0, 31.5, 23.5)
     rng = np.random.default_rng(0)
     depth = rng.uniform(1, 2, (48, 64)).astype(np.float32)
@@ -286,23 +285,23 @@ def test_lifted_flow_goes_to_the_point_that_is_seen_there() -> None:
     np.testing.assert_allclose(reached[..., 2], depth + uvw[2], atol=1e-6)
 
 
-# --- to the input's pixels ---
+# --- guided upsampling ---
 
 
-def test_the_same_size_is_left_as_it_is() -> None:
+def test_the_same_size_leaves_values_unchanged() -> None:
     rng = np.random.default_rng(0)
     values = rng.standard_normal((12, 16, 3)).astype(np.float32)
     depth = rng.uniform(1, 2, (12, 16)).astype(np.float32)
-    np.testing.assert_allclose(to_input(values, depth, depth), values, atol=1e-6)
+    np.testing.assert_allclose(upsample_guided(values, depth, depth), values, atol=1e-6)
 
 
-def test_planes_are_enlarged_exactly_and_surfaces_are_not_mixed() -> None:
+def test_planes_are_upsampled_exactly_and_surfaces_are_not_mixed() -> None:
     v, u = np.mgrid[0:24, 0:32].astype(np.float32)
     depth = np.where(u < 16, 1, 2).astype(np.float32)
     values = np.where(depth == 1, 5, u + 2 * v)[..., None].astype(np.float32)
     y, x = np.mgrid[0:72, 0:96].astype(np.float32)
     large = np.where(x < 48, 1, 2).astype(np.float32)
-    out = to_input(values, depth, large)[..., 0]
+    out = upsample_guided(values, depth, large)[..., 0]
     np.testing.assert_allclose(out[large == 1], 5, atol=1e-4)
     inner = (x > 50) & (x < 93) & (y > 2) & (y < 69)
     np.testing.assert_allclose(out[inner], ((x + 0.5) / 3 - 0.5 + 2 * ((y + 0.5) / 3 - 0.5))[inner], atol=1e-3)
@@ -310,16 +309,18 @@ def test_planes_are_enlarged_exactly_and_surfaces_are_not_mixed() -> None:
     assert (np.abs(out[beside] - 16 - 2 * ((y + 0.5) / 3 - 0.5)[beside]) < 0.5).all()
 
 
-def test_what_lies_on_no_known_surface_takes_the_nearest_value() -> None:
+def test_pixels_on_an_unknown_surface_take_the_nearest_value() -> None:
     depth = np.zeros((4, 4), np.float32)
     depth[1, 2] = 1
     values = np.full((4, 4, 1), 9, np.float32)
     values[1, 2] = 3
-    assert (to_input(values, depth, np.full((8, 8), 5, np.float32)) == 3).all()
-    assert (to_input(values, np.zeros_like(depth), np.ones((8, 8), np.float32)) == 0).all()
+    assert (upsample_guided(values, depth, np.full((8, 8), 5, np.float32)) == 3).all()
+    assert (upsample_guided(values, np.zeros_like(depth), np.ones((8, 8), np.float32)) == 0).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5)])
-def test_sizes_may_shrink(shape: tuple[int, int]) -> None:
-    out = to_input(np.full((12, 16, 2), 7, np.float32), np.ones((12, 16), np.float32), np.ones(shape, np.float32))
+def test_the_size_may_be_smaller(shape: tuple[int, int]) -> None:
+    out = upsample_guided(
+        np.full((12, 16, 2), 7, np.float32), np.ones((12, 16), np.float32), np.ones(shape, np.float32)
+    )
     np.testing.assert_allclose(out, np.full((*shape, 2), 7), rtol=1e-6)

@@ -17,7 +17,7 @@ INTRINSICS = torch.tensor([[50.0, 48.0, 20.0, 14.0]])
 
 
 def step_image(left: list[float], right: list[float], columns: tuple[int, int]) -> Tensor:
-    """(1, C, 4, W): one colour on the left, another on the right."""
+    """(1, C, 4, W) image with one colour on the left and another on the right."""
     sides = [torch.tensor(side)[:, None].expand(-1, n) for side, n in zip((left, right), columns, strict=True)]
     return torch.cat(sides, dim=1)[None, :, None].expand(1, -1, 4, -1).contiguous()
 
@@ -25,14 +25,14 @@ def step_image(left: list[float], right: list[float], columns: tuple[int, int]) 
 # --- smoothing ---
 
 
-def test_a_step_is_lowered_by_eta_over_the_width_of_its_sides() -> None:
+def test_each_side_of_a_step_moves_by_eta_over_its_width() -> None:
     field = step_image([0.0, 5.0], [1.0, 3.0], (8, 12))
     out, _ = smooth.smooth(field, 0.6, 3000, vectorial=False)
     expected = step_image([0 + 0.6 / 8, 5 - 0.6 / 8], [1 - 0.6 / 12, 3 + 0.6 / 12], (8, 12))
     torch.testing.assert_close(out, expected, atol=1e-4, rtol=0)
 
 
-def test_vectorial_smoothing_moves_the_sides_along_the_jump() -> None:
+def test_vectorial_smoothing_moves_the_sides_along_the_step() -> None:
     field = step_image([0.0, 0.0, 1.0], [3.0, 4.0, 1.0], (8, 12))
     out, _ = smooth.smooth(field, 0.6, 3000, vectorial=True)
     along = torch.tensor([0.6, 0.8, 0.0])
@@ -46,7 +46,7 @@ def test_a_small_step_is_flattened_to_the_mean() -> None:
     torch.testing.assert_close(out, torch.full_like(out, 0.06), atol=1e-4, rtol=0)
 
 
-def test_smoothing_goes_on_from_its_dual() -> None:
+def test_smoothing_continues_from_its_dual() -> None:
     field = torch.from_numpy(np.random.default_rng(0).standard_normal((1, 3, 12, 16)).astype(np.float32))
 
     def energy(u: Tensor) -> float:
@@ -67,12 +67,12 @@ def test_total_variation_of_a_step_is_its_height_times_its_length() -> None:
 # --- twists ---
 
 
-def test_points_move_as_the_exponential_says() -> None:
+def test_points_move_by_the_exponential_map() -> None:
     rng = np.random.default_rng(1)
     twist, points = rng.standard_normal((6, 3, 4)), rng.standard_normal((3, 3, 4)) * 10
     twist[3:, 0, 0], twist[3:, 0, 1] = 0, [1e-5, 0, -2e-5]
-    turn, shift = twists.motions(torch.from_numpy(twist)[None])
-    moved = points + twists.displace(turn, shift, torch.from_numpy(points)[None])[0].numpy()
+    rotation, shift = twists.motions(torch.from_numpy(twist)[None])
+    moved = points + twists.displace(rotation, shift, torch.from_numpy(points)[None])[0].numpy()
     for row in range(3):
         for column in range(4):
             a_T_b = geometry.se3_exp(twist[:, row, column])
@@ -80,7 +80,7 @@ def test_points_move_as_the_exponential_says() -> None:
             np.testing.assert_allclose(moved[:, row, column], expected, atol=1e-9)
 
 
-def test_small_systems_are_solved_as_numpy_solves_them() -> None:
+def test_small_systems_are_solved_as_by_numpy() -> None:
     rng = np.random.default_rng(2)
     J, r, w = rng.standard_normal((9, 6, 2, 3)), rng.standard_normal((9, 2, 3)), rng.uniform(0.1, 2, (9, 2, 3))
     r_t, J_t, w_t = (torch.from_numpy(a) for a in (r, J.swapaxes(0, 1).copy(), w))
@@ -105,7 +105,7 @@ def test_small_systems_are_solved_as_numpy_solves_them() -> None:
 
 
 def ramp_level() -> Level:
-    """Intensity and depth that change linearly over the image: slopes are exact everywhere but at the border."""
+    """A level with linear intensity and depth, whose gradients are exact except at the border."""
     v, u = torch.meshgrid(torch.arange(30.0), torch.arange(40.0), indexing="ij")
     gray, depth = 0.2 + 0.01 * u + 0.005 * v, 0.6 + 0.002 * u - 0.001 * v
     frame = gray.expand(1, 3, -1, -1), depth[None, None]
@@ -118,7 +118,7 @@ def residuals_at(level: Level, moved: Tensor) -> tuple[Tensor, Tensor, Tensor, T
     return r_i, g_i, r_z, g_z
 
 
-def test_gradients_are_those_of_the_residuals() -> None:
+def test_gradients_agree_with_finite_differences_of_the_residuals() -> None:
     level = ramp_level()
     inner = (0, slice(8, 22), slice(8, 32))
     start = level.points + torch.tensor([0.4, -0.3, 0.2]).view(1, 3, 1, 1)
@@ -134,13 +134,13 @@ def test_gradients_are_those_of_the_residuals() -> None:
     assert float(r_z[inner].abs().max()) > 1e-2
 
 
-def test_outliers_and_points_out_of_sight_pay_a_constant_and_pull_at_nothing() -> None:
+def test_outliers_and_points_out_of_view_have_constant_cost_and_no_weight() -> None:
     level = ramp_level()
-    away = level.points + torch.tensor([500.0, 0, 0]).view(1, 3, 1, 1)
+    out_of_view = level.points + torch.tensor([500.0, 0, 0]).view(1, 3, 1, 1)
     far = level.points + torch.tensor([0.0, 0, 30]).view(1, 3, 1, 1)
-    worst = math.sqrt(0.1 + 1e-6) + 0.1 * math.sqrt(10 + 1e-6)
-    out = compute_residuals(level, away, level.gray, level.valid, Weights(1.0, 0.1))
-    torch.testing.assert_close(out.cost, torch.full_like(out.cost, worst))
+    outlier_cost = math.sqrt(0.1 + 1e-6) + 0.1 * math.sqrt(10 + 1e-6)
+    out = compute_residuals(level, out_of_view, level.gray, level.valid, Weights(1.0, 0.1))
+    torch.testing.assert_close(out.cost, torch.full_like(out.cost, outlier_cost))
     assert all(float(weight.abs().max()) == 0 for _, _, weight in out.terms)
     out = compute_residuals(level, far, level.gray, level.valid, Weights(1.0, 0.1))
     assert float(out.terms[1][2].max()) == 0
@@ -152,7 +152,7 @@ def test_outliers_and_points_out_of_sight_pay_a_constant_and_pull_at_nothing() -
 # --- the pyramid ---
 
 
-def test_levels_show_the_same_points_and_small_images_have_fewer() -> None:
+def test_levels_have_consistent_points_and_small_images_have_fewer_levels() -> None:
     color, depth = torch.rand(1, 3, 48, 64), torch.full((1, 1, 48, 64), 0.8)
     intrinsics = torch.tensor([[60.0, 60.0, 31.5, 23.5]])
     levels = build_pyramid((color, depth), (color, depth), intrinsics, 5)
@@ -163,7 +163,7 @@ def test_levels_show_the_same_points_and_small_images_have_fewer() -> None:
     torch.testing.assert_close(levels[0].pivot[0, :, 0, 0], torch.tensor([0.0, 0.0, 80.0]), atol=1e-3, rtol=0)
 
 
-def test_holes_stay_holes_and_make_no_slopes() -> None:
+def test_holes_remain_and_cause_no_gradients() -> None:
     depth = torch.full((1, 1, 20, 24), 0.8)
     depth[0, 0, 10, 12] = 0
     level = build_pyramid((torch.rand(1, 3, 20, 24), depth), (torch.rand(1, 3, 20, 24), depth), INTRINSICS, 1)[0]

@@ -1,1 +1,1 @@
-"""Methods to compare against, one a file."""
+"""Baseline methods, one per module or package."""

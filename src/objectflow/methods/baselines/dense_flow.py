@@ -1,4 +1,4 @@
-"""`dense-flow`: optical flow, lifted to 3D by the two depth images."""
+"""`dense-flow`: optical flow lifted to 3D by the two depth images."""
 
 from __future__ import annotations
 
@@ -8,38 +8,31 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from objectflow import geometry
 from objectflow.alignment import matching
-from objectflow.frame import RgbdFrame, check_pair
-from objectflow.methods.base import check_camera_option
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.methods.base import PairEstimator
 from objectflow.motion import SceneMotion
+from objectflow.settings import Settings
 
 
 @dataclass(frozen=True)
-class DenseFlow:
-    """DIS optical flow from the current to the previous frame; a pixel's flow is the difference of its two points.
+class DenseFlow(Settings, PairEstimator):
+    """DIS optical flow from the current to the previous frame, as the difference of the two back-projected points.
 
-    Where forward and backward flow disagree, or the other end has no depth, the flow of the nearest pixel that
-    has one is taken: such pixels are mostly hidden in the previous frame and move like what is beside them.
-
-    Attributes:
-        camera: accepted like every method's; the flow of a moving camera's background is simply part of the flow.
+    Pixels where forward and backward flow disagree, or whose match has no depth, take the flow of the nearest valid
+    pixel: most of them are occluded in the previous frame and move like their surroundings. The flow of a moving
+    camera's background is part of the optical flow.
     """
 
-    camera: str = "auto"
-
-    def __post_init__(self) -> None:
-        check_camera_option(self.camera)
-
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`."""
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`."""
         start = time.perf_counter()
-        check_pair(prev, curr)
-        flow, consistent = matching.dense_flow(matching.gray(prev.color), matching.gray(curr.color))
+        prev, curr = pair.prev.frame, pair.curr.frame
+        flow, consistent = matching.dense_flow(pair.prev.gray, pair.curr.gray)
         v, u = np.nonzero(consistent & curr.valid)
         pixels = np.stack([u, v], axis=1).astype(np.float32)
         matches, lifted = matching.lift(pixels, pixels + flow[v, u], prev, curr)
-        points = geometry.back_project(curr.depth, curr.camera)
+        points = pair.curr.points
         scene_flow = np.zeros_like(points)
         known = np.zeros(curr.depth.shape, bool)
         known[v[lifted], u[lifted]] = True

@@ -1,4 +1,4 @@
-"""`zero`: nothing moves."""
+"""`zero`: zero flow and no objects."""
 
 from __future__ import annotations
 
@@ -8,28 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from objectflow import geometry
-from objectflow.frame import RgbdFrame, check_pair
-from objectflow.methods.base import check_camera_option
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.methods.base import PairEstimator
 from objectflow.motion import SceneMotion
+from objectflow.settings import Settings
 
 
 @dataclass(frozen=True)
-class Zero:
-    """Zero flow and no objects; every error measure has this row beside it.
+class Zero(Settings, PairEstimator):
+    """Zero flow and no objects, the reference for every error metric."""
 
-    Attributes:
-        camera: accepted like every method's; zero flow is what it is.
-    """
-
-    camera: str = "auto"
-
-    def __post_init__(self) -> None:
-        check_camera_option(self.camera)
-
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`."""
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`."""
         start = time.perf_counter()
-        check_pair(prev, curr)
-        labels = np.zeros(curr.depth.shape, np.int32)
-        flow = geometry.flow_from_motions(geometry.back_project(curr.depth, curr.camera), labels, {})
+        points = pair.curr.points
+        labels = np.zeros(points.shape[:2], np.int32)
+        flow = geometry.flow_from_motions(points, labels, {})
         return SceneMotion(labels=labels, scene_flow=flow, method="zero", seconds=time.perf_counter() - start)

@@ -1,1 +1,1 @@
-"""The parts of `report.html`: its template, style and scripts, and what Python puts into them."""
+"""The parts of `report.html`: its template, style and scripts, and the data blocks made in Python."""

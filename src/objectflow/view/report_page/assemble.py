@@ -1,4 +1,4 @@
-"""Fill the page's template: everything inside one file, nothing that could break out of its place."""
+"""Fill the page's template: all content is inlined and escaped."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ _SCRIPTS = ("data.js", "colors.js", "pictures.js", "plots.js", "gallery.js", "sc
 
 
 def escape(text: object) -> str:
-    """Text for an element or a quoted attribute; control characters, which HTML forbids, become U+FFFD."""
+    """Escape text for an element or a quoted attribute; control characters, which HTML forbids, become U+FFFD."""
     return html.escape(re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]", "\ufffd", str(text)))
 
 
 def json_block(name: str, values: Mapping[str, Any]) -> str:
-    """A `<script>` of JSON, which the browser does not run.
+    """A `<script>` element with JSON, which the browser does not execute.
 
-    `<` is escaped, so that no text can close the element or open a comment.
+    `<` is escaped, so no text can close the element or open a comment.
 
     Raises:
-        ValueError: a number that is not finite.
+        ValueError: a number is not finite.
     """
     text = json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="{escape(name)}">{text}</script>'
 
 
 def assemble(parts: Mapping[str, str]) -> str:
-    """The page of its HTML parts: title, facts, tables, gallery_note, failures, footer and data."""
+    """Assemble the page from its HTML parts: title, facts, tables, gallery_note, failures, footer and data."""
     folder = resources.files(__package__)
     values = {
         **parts,
@@ -39,12 +39,12 @@ def assemble(parts: Mapping[str, str]) -> str:
         "script": "\n".join(_asset(name) for name in _SCRIPTS),
     }
     template = folder.joinpath("page.html").read_text(encoding="utf-8")
-    # In one pass: what is filled in is not searched again.
+    # A single pass, so that inserted text is not searched for placeholders.
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], template)
 
 
 def licence() -> str:
-    """Of the part of the page that others wrote."""
+    """Licence text of three.js."""
     return _asset("three.LICENSE.txt")
 
 

@@ -1,8 +1,8 @@
-/* Colours, the same as in the pictures of `objectflow estimate` (view/colors.py). */
+/* Colours, identical to those of the pictures of `objectflow estimate` (view/colors.py). */
 
 const NO_DEPTH = [222, 226, 230];
 
-/** Hue = direction, strength = length; white at 0, full at length 1 and beyond. */
+/** Hue = direction, saturation = length; white at 0, full at length 1 and beyond. */
 function wheel(right, down) {
   const length = Math.min(Math.hypot(right, down), 1) ** 0.8;
   const angle = Math.atan2(down, right);
@@ -34,11 +34,11 @@ const FLOW_PICTURES = {
   error: "error against the truth",
 };
 
-/** The colour of one point's flow [mm, previous minus current]; `truth` is read for the error alone. */
+/** The colour of one point's flow [mm, previous minus current]; `truth` is used by kind "error" only. */
 function flowColor(kind, flow, truth, i, count, full) {
   const mm = 1000 * full;
   if (flow[i] === NO_FLOW) return NO_DEPTH;
-  // Forward in time, as people look at motion.
+  // Motion is shown forward in time.
   if (kind === "across") return wheel(-flow[i] / mm, -flow[count + i] / mm);
   if (kind === "depth") return diverging(-flow[2 * count + i] / mm);
   if (truth[i] === NO_FLOW) return NO_DEPTH;

@@ -1,11 +1,11 @@
-/* What the page carries: the report as JSON, and for each pair of the gallery a block that is read when it is shown. */
+/* The page's data: the report as JSON, and a block for each pair of the gallery, decoded when the pair is shown. */
 
 const report = JSON.parse(document.getElementById("report-data").textContent);
 const TRUTH = -1;
 const NO_FLOW = -32768;
 const loading = new Map();
 
-/** An element with attributes and children; texts are never read as HTML. */
+/** An element with attributes and children; text is never parsed as HTML. */
 function el(tag, attributes = {}, ...children) {
   const node = document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) {
@@ -29,7 +29,7 @@ async function inflate(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** Whole numbers stored as differences from one to the next, all low bytes before all high bytes. */
+/** Decode int16 values stored as consecutive differences, all low bytes before all high bytes. */
 async function unpack16(text) {
   const bytes = await inflate(text);
   const count = bytes.length / 2;
@@ -51,7 +51,7 @@ function decodeImage(uri) {
   });
 }
 
-/** Everything to draw one pair, decoded once and kept while the page lives. */
+/** The decoded data of one pair, cached. */
 function loadPair(index) {
   if (!loading.has(index)) loading.set(index, readPair(index));
   return loading.get(index);

@@ -1,4 +1,4 @@
-/* The gallery: a card a pair, sorted by a score, drawn when it comes into view. */
+/* The gallery: one card per pair, sorted by a score and drawn when it scrolls into view. */
 
 const gallery = {
   cards: document.getElementById("cards"),
@@ -55,7 +55,7 @@ function startGallery() {
   showGallery();
 }
 
-/** The score that a pair is sorted by: one method's, or the mean of those that have one. */
+/** The score by which a pair is sorted: that of one method, or the mean over all methods that have one. */
 function sortScore(pair) {
   const k = Number(gallery.metric.value);
   const of = gallery.method.value === "all" ? report.methods.map((_, m) => m) : [Number(gallery.method.value)];
@@ -84,7 +84,7 @@ function showGallery() {
   watcher.disconnect();
   const cards = entries.map(({ pair, index, score }) => makeCard(pair, index, metric, score));
   gallery.cards.replaceChildren(...cards);
-  if (!cards.length) gallery.cards.append(el("p", { class: "empty" }, "No pair fits the filter."));
+  if (!cards.length) gallery.cards.append(el("p", { class: "empty" }, "No pair matches the filter."));
   cards.forEach((card) => watcher.observe(card));
 }
 
@@ -99,12 +99,12 @@ function makeCard(pair, index, metric, score) {
     el("span", { class: "note full" }),
   );
   const sheet = el("div", { class: "sheet", onclick: open }, el("p", { class: "note" }, "loading"));
-  // An estimate of its height until it is drawn, so that the scroll bar does not jump.
+  // Estimated height until the card is drawn, so that the scroll bar does not jump.
   sheet.style.minHeight = "17rem";
   return el("article", { class: "card", "data-index": index }, head, sheet);
 }
 
-/** What the colours of the flow mean. */
+/** Show the legend of the flow colours. */
 function showKeys() {
   const keys = document.getElementById("keys");
   const kind = gallery.picture.value;
@@ -124,5 +124,5 @@ function showKeys() {
   }
   const grey = el("i", { class: "swatch" });
   grey.style.background = css(NO_DEPTH);
-  keys.append(el("span", {}, el("span", {}, grey, "no depth")), el("span", {}, "Full colour: each pair's own, beside its key."));
+  keys.append(el("span", {}, el("span", {}, grey, "no depth")), el("span", {}, "The value of full colour is given beside each pair's key."));
 }

@@ -1,4 +1,4 @@
-/* Start: the theme, the plots, the gallery, the pair in the address. */
+/* Start: theme, plots, gallery, and the pair in the address. */
 
 const THEMES = ["system", "light", "dark"];
 

@@ -1,4 +1,4 @@
-"""The numbers that the page's scripts sort and draw: scores of every pair, and the breakdowns."""
+"""The numbers that the page's scripts sort and plot: scores of every pair, and breakdowns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Best = Literal["low", "high"]
 
 @dataclass(frozen=True)
 class Metric:
-    """A score of a pair; `short` is its name where there is little room."""
+    """A score of a pair; `short` is its abbreviated name."""
 
     id: str
     name: str
@@ -39,16 +39,16 @@ METRICS: tuple[Metric, ...] = (
 
 
 _PLOTTED = (("f", "", 3, "high"), ("epe", "cm", 2, "low"))
-"""Measures of the breakdowns' tables: name, unit, digits, which way is better."""
+"""Metrics of the breakdown plots: name, unit, decimal digits, and whether high or low is better."""
 
 
 def report_numbers(evaluation: Evaluation, tables: Sequence[Table], chosen: Sequence[int]) -> dict[str, Any]:
     """The JSON that all scripts read.
 
     Args:
-        evaluation: what was found.
-        tables: of it; those of the breakdowns are drawn as plots.
-        chosen: the numbers of the gallery's pairs.
+        evaluation: the scores.
+        tables: of the evaluation; those of the breakdowns are drawn as plots.
+        chosen: indices of the gallery's pairs.
     """
     named = {table.name: table for table in tables}
     scored = [{score.key: score for score in method.scores} for method in evaluation.methods]
@@ -68,7 +68,7 @@ def report_numbers(evaluation: Evaluation, tables: Sequence[Table], chosen: Sequ
             }
             for name, unit, digits, best in _PLOTTED
         ],
-        "breakdowns": [_breakdown(one, named) for one in BREAKDOWNS],
+        "breakdowns": [_breakdown(breakdown, named) for breakdown in BREAKDOWNS],
         "pairs": [
             {
                 "key": pair.key,
@@ -82,14 +82,14 @@ def report_numbers(evaluation: Evaluation, tables: Sequence[Table], chosen: Sequ
 
 
 def caption(pair: PairFacts) -> str:
-    """What is true of a pair, in a few words."""
+    """Number of objects, displacement and rotation of a pair, for display."""
     moving = sum(obj.moving for obj in pair.objects)
-    words = [f"{pair.number} object{'' if pair.number == 1 else 's'}, {moving} moving"]
+    parts = [f"{pair.number} object{'' if pair.number == 1 else 's'}, {moving} moving"]
     if math.isfinite(pair.displacement_cm):
-        words.append(f"{pair.displacement_cm:.1f} cm")
+        parts.append(f"{pair.displacement_cm:.1f} cm")
     if math.isfinite(pair.rotation_deg):
-        words.append(f"{pair.rotation_deg:.0f}°")
-    return " · ".join(words)
+        parts.append(f"{pair.rotation_deg:.0f}°")
+    return " · ".join(parts)
 
 
 def _breakdown(breakdown: Breakdown, named: Mapping[str, Table]) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def _interval(cell: Cell | None) -> list[float | None] | None:
 
 
 def finite(value: float) -> float | None:
-    """JSON has no NaN."""
+    """The value, or None (JSON null) if it is not finite."""
     return value if math.isfinite(value) else None
 
 

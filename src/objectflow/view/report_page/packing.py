@@ -1,4 +1,4 @@
-"""Pictures and maps of numbers as short texts inside a page: WebP, and deflated differences in base64."""
+"""Compact encoding of images and numeric maps inside a page: WebP, and deflated differences in base64."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from objectflow.errors import ResultError
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 NO_FLOW = -32768
-"""Stands for NaN among millimetres."""
+"""Value that marks missing flow in maps of millimetres."""
 
 _WEBP_QUALITY = 80
 
@@ -22,7 +22,7 @@ def pack_photo(image: UInt8Array) -> str:
     """(H, W, 3) uint8 RGB -> a data URI.
 
     Raises:
-        ResultError: the picture cannot be encoded.
+        ResultError: the image cannot be encoded.
     """
     done, data = cv2.imencode(
         ".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, _WEBP_QUALITY]
@@ -33,14 +33,14 @@ def pack_photo(image: UInt8Array) -> str:
 
 
 def pack_bytes(values: UInt8Array) -> str:
-    """Whole numbers under 256, such as labels."""
+    """Encode uint8 values, such as labels, as deflated base64."""
     return base64.b64encode(zlib.compress(values.tobytes(), 9)).decode()
 
 
 def pack_words(values: NDArray[np.int16]) -> str:
-    """16-bit numbers as differences from one to the next (modulo 2^16), all low bytes before all high bytes.
+    """Encode int16 values as consecutive differences modulo 2^16, all low bytes before all high bytes.
 
-    Smooth maps become small differences whose high bytes are nearly all 0, which deflate at a third of the size.
+    The differences of smooth maps are small and their high bytes mostly 0, so they deflate to a third of the size.
     """
     difference = np.diff(values.ravel().view(np.uint16), prepend=np.uint16(0)).astype("<u2")
     planes = difference.view(np.uint8).reshape(-1, 2).T
@@ -48,9 +48,9 @@ def pack_words(values: NDArray[np.int16]) -> str:
 
 
 def millimetres(flow: Float32Array, valid: BoolMask) -> NDArray[np.int16]:
-    """(H, W, 3) metres -> (3, H, W) whole millimetres, `NO_FLOW` where NaN.
+    """(H, W, 3) metres -> (3, H, W) integer millimetres, `NO_FLOW` where NaN.
 
-    Where `valid` (H, W) is false nothing is ever shown, so the last number before is repeated: it costs no bytes.
+    Pixels outside `valid` (H, W) are never shown; they repeat the preceding value, which deflates to nothing.
     """
     known = np.asarray(np.isfinite(flow).all(axis=-1), dtype=np.bool_)
     rounded = np.clip(np.rint(1000 * np.where(known[..., None], flow, 0)), NO_FLOW + 1, -NO_FLOW - 1)

@@ -1,4 +1,4 @@
-/* One pair in a dialog: the 3D view, the objects' motions, the scores of every method. */
+/* One pair in a dialog: the 3D view, the objects' motions and the scores of every method. */
 
 const pairDialog = document.getElementById("pair");
 const state = { index: null, pair: null, method: TRUTH, color: "objects" };
@@ -37,9 +37,9 @@ async function openPair(index) {
   document.getElementById("pair-facts").textContent = scene === key ? facts : `scene ${scene} · ${facts}`;
   if (!pairDialog.open) pairDialog.showModal();
   history.replaceState(null, "", `#pair=${encodeURIComponent(key)}`);
-  const place = gallery.shown.indexOf(index);
-  document.getElementById("pair-prev").disabled = place <= 0;
-  document.getElementById("pair-next").disabled = place < 0 || place === gallery.shown.length - 1;
+  const position = gallery.shown.indexOf(index);
+  document.getElementById("pair-prev").disabled = position <= 0;
+  document.getElementById("pair-next").disabled = position < 0 || position === gallery.shown.length - 1;
   const pair = await loadPair(index);
   if (state.index !== index) return;
   state.pair = pair;
@@ -60,7 +60,7 @@ function pairSheet() {
   return sheet;
 }
 
-/** The one WebGL context of the page; a message where the browser has none. */
+/** Create the page's WebGL context on first use; show a message where the browser has none. */
 function startView() {
   if (view) return true;
   const canvas = document.getElementById("scene");
@@ -103,7 +103,7 @@ function showChoices() {
   document.getElementById("color-choice").replaceChildren(...pick("color", Object.entries(COLORS), state.color, setColor));
 }
 
-/** A line an object of the chosen layer: how far it moved and turned. */
+/** Show the displacement and rotation of each object of the chosen layer. */
 function showObjects() {
   const { objects } = state.pair.layers.get(state.method);
   const rows = objects.map((object) => {
@@ -117,7 +117,7 @@ function showObjects() {
       el("td", {}, object.degrees === null ? "–" : `${number(object.degrees, 0)}°`),
     );
   });
-  const head = el("tr", {}, el("th", {}, `Objects of ${layerName(state.method)}`), el("th", {}, "moved"), el("th", {}, "turned"));
+  const head = el("tr", {}, el("th", {}, `Objects of ${layerName(state.method)}`), el("th", {}, "displacement"), el("th", {}, "rotation"));
   const table = el("table", {}, el("thead", {}, head), el("tbody", {}, ...rows));
   const none = el("p", { class: "note" }, `${layerName(state.method)}: no objects.`);
   document.getElementById("objects").replaceChildren(rows.length ? table : none);
@@ -139,8 +139,8 @@ function showScores() {
 }
 
 function stepPair(step) {
-  const place = gallery.shown.indexOf(state.index) + step;
-  if (place >= 0 && place < gallery.shown.length) openPair(gallery.shown[place]);
+  const position = gallery.shown.indexOf(state.index) + step;
+  if (position >= 0 && position < gallery.shown.length) openPair(gallery.shown[position]);
 }
 
 function pairKey(event) {

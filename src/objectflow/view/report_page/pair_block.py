@@ -1,4 +1,4 @@
-"""What the page holds of one pair: both frames, the points, and a layer for the truth and for each method."""
+"""The page's data of one pair: both frames, the points, and a layer for the truth and for each method."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ from objectflow.view.flow import flow_range
 from objectflow.view.report_page.packing import millimetres, pack_bytes, pack_photo, pack_words
 
 MAX_POINTS = 20_000
-"""Of a pair's 3D view."""
+"""Maximum number of points in a pair's 3D view."""
 
 MAX_IMAGE_WIDTH = 400
-"""Pixels of a picture in the gallery."""
+"""Maximum width of an image in the gallery, pixels."""
 
 TRUTH = -1
-"""The number of the truth's layer; methods count from 0."""
+"""Index of the truth's layer; methods count from 0."""
 
 _DEPTH_STEP = 0.0005
-_MOST_LABELS = 255
+"""Smallest quantisation step of depth, metres."""
+_MAX_LABELS = 255
 
 
-class _Shown(NamedTuple):
-    """An object as the page shows it: its value in a label image, its name and colour there, its motion if known."""
+class _LayerObject(NamedTuple):
+    """An object of a layer: its value in the label image, name, colour and motion."""
 
     label: int
     name: str
     color: Rgb
     center: Float64Array
     prev_T_curr: Float64Array
-    turn_known: bool
+    rotation_known: bool
 
 
 def make_pair_block(
     pair: EvaluationPair, predictions: Mapping[int, SceneMotion], scores: Mapping[int, PairScore]
 ) -> dict[str, Any]:
-    """The JSON of one pair.
+    """The JSON data of one pair.
 
     Args:
         pair: frames and truth.
-        predictions: by the method's number; a method that failed is left out.
-        scores: likewise; they tell which predicted object stands for which true one, and so has its colour.
+        predictions: by method index, without failed methods.
+        scores: by method index; their matches assign the colours of true objects to predicted ones.
     """
     curr, truth = pair.curr, pair.truth
     height, width = truth.labels.shape
@@ -67,8 +68,8 @@ def make_pair_block(
     moved = -truth.scene_flow[np.isfinite(truth.scene_flow).all(axis=-1)].astype(np.float64)
     layers = [_layer(TRUTH, truth.labels, truth.scene_flow, _true_objects(truth), curr.valid, grid, small, size)]
     for method, motion in predictions.items():
-        shown = _predicted_objects(motion, truth, scores.get(method))
-        layers.append(_layer(method, motion.labels, motion.scene_flow, shown, curr.valid, grid, small, size))
+        objects = _predicted_objects(motion, truth, scores.get(method))
+        layers.append(_layer(method, motion.labels, motion.scene_flow, objects, curr.valid, grid, small, size))
     return {
         "prev": _photo(pair.prev.color, size),
         "curr": _photo(curr.color, size),
@@ -89,29 +90,29 @@ def _layer(
     method: int,
     labels: LabelImage,
     flow: Float32Array,
-    objects: Iterable[_Shown],
+    objects: Iterable[_LayerObject],
     valid: BoolMask,
     grid: tuple[slice, slice],
     small: int,
     size: tuple[int, int],
 ) -> dict[str, Any]:
-    # Should there be more objects than a byte can count, the first ones are shown.
-    shown = sorted(objects, key=lambda obj: obj.label)[:_MOST_LABELS]
-    place = np.zeros(int(max(labels.max(initial=0), 0)) + 1, np.uint8)
+    # Labels are stored as bytes, so only the first 255 objects are shown.
+    shown = sorted(objects, key=lambda obj: obj.label)[:_MAX_LABELS]
+    byte_of_label = np.zeros(int(max(labels.max(initial=0), 0)) + 1, np.uint8)
     for index, obj in enumerate(shown):
-        if obj.label < len(place):
-            place[obj.label] = index + 1
+        if obj.label < len(byte_of_label):
+            byte_of_label[obj.label] = index + 1
     picture = labels[small // 2 :: small, small // 2 :: small][: size[1], : size[0]]
     return {
         "method": method,
-        "labels": pack_bytes(place[picture]),
+        "labels": pack_bytes(byte_of_label[picture]),
         "flow": pack_words(millimetres(flow[grid], valid[grid])),
         "colors": [None, *(obj.color for obj in shown)],
         "objects": [_object(obj) for obj in shown],
     }
 
 
-def _object(obj: _Shown) -> dict[str, Any]:
+def _object(obj: _LayerObject) -> dict[str, Any]:
     moved = transform(obj.prev_T_curr, obj.center) - obj.center
     angle = math.degrees(float(np.linalg.norm(so3_log(obj.prev_T_curr[:3, :3]))))
     return {
@@ -119,19 +120,19 @@ def _object(obj: _Shown) -> dict[str, Any]:
         "color": obj.color,
         "center": [round(float(value), 5) for value in obj.center],
         "translation": [round(float(value), 5) for value in moved],
-        "degrees": round(angle, 2) if obj.turn_known else None,
+        "degrees": round(angle, 2) if obj.rotation_known else None,
     }
 
 
-def _true_objects(truth: PairTruth) -> list[_Shown]:
+def _true_objects(truth: PairTruth) -> list[_LayerObject]:
     return [
-        _Shown(o.label, f"object {o.label}", object_color(o.label), o.center, o.prev_T_curr, o.rotation_known)
+        _LayerObject(o.label, f"object {o.label}", object_color(o.label), o.center, o.prev_T_curr, o.rotation_known)
         for o in truth.objects
     ]
 
 
-def _predicted_objects(motion: SceneMotion, truth: PairTruth, score: PairScore | None) -> list[_Shown]:
-    """Named and coloured as the true objects that they stand for; others have colours that no true object has."""
+def _predicted_objects(motion: SceneMotion, truth: PairTruth, score: PairScore | None) -> list[_LayerObject]:
+    """Objects with the names and colours of their matched true objects; unmatched ones have unused colours."""
     matches = {} if score is None else {match.predicted: match for match in score.segmentation.matches}
     spare = max((obj.label for obj in truth.objects), default=0)
     shown = []
@@ -142,7 +143,7 @@ def _predicted_objects(motion: SceneMotion, truth: PairTruth, score: PairScore |
             name, color = f"extra {obj.id}", object_color(spare)
         else:
             name, color = f"object {match.true}, F {match.f:.2f}", object_color(match.true)
-        shown.append(_Shown(obj.id, name, color, obj.center, obj.prev_T_curr, True))
+        shown.append(_LayerObject(obj.id, name, color, obj.center, obj.prev_T_curr, True))
     return shown
 
 

@@ -1,4 +1,4 @@
-/* The small pictures of the gallery, each drawn on a canvas. */
+/* The thumbnails of the gallery, each drawn on a canvas. */
 
 function photoCanvas(image, width, height, label) {
   const canvas = el("canvas", { width, height, role: "img", "aria-label": label });
@@ -17,7 +17,7 @@ function flowCanvas(pair, method, kind) {
   );
 }
 
-/** The masks of one layer over the current frame, which steps back in grey. */
+/** The masks of one layer over the current frame in grey. */
 function maskCanvas(pair, method) {
   const { labels, colors } = pair.layers.get(method);
   const { photo } = pair;
@@ -26,7 +26,7 @@ function maskCanvas(pair, method) {
   );
 }
 
-/** A point's colour by object: the mask's own, shaded a little by the photo; grey for the background. */
+/** A point's colour by object: the mask's colour, slightly shaded by the photo; grey for the background. */
 function objectColor(color, photo, i) {
   const light = (0.3 * photo[4 * i] + 0.59 * photo[4 * i + 1] + 0.11 * photo[4 * i + 2]) / 255;
   if (!color) return [0, 1, 2].map(() => Math.round(70 + 150 * light));
@@ -48,7 +48,7 @@ function paint(width, height, label, colorOf) {
   return canvas;
 }
 
-/** The figure of one pair: both frames, then a column a method, then the truth; flow above, masks below. */
+/** The figure of one pair: both frames, a column per method, and the truth; flow above, masks below. */
 async function drawSheet(sheet, index, methods, kind) {
   const pair = await loadPair(index);
   const { width, height } = pair;

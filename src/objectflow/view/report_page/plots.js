@@ -1,4 +1,4 @@
-/* Breakdown plots: a small chart an attribute, a line a method. */
+/* Breakdown plots: one small chart per attribute, one line per method. */
 
 const SVG = "http://www.w3.org/2000/svg";
 const MARKS = ["circle", "square", "diamond", "triangle"];
@@ -10,7 +10,7 @@ function svg(tag, attributes, ...children) {
   return node;
 }
 
-/** A mark whose form and colour both tell methods apart. */
+/** A mark; methods differ in both shape and colour. */
 function mark(method, x, y, size = 4.2) {
   const color = `var(--m${method % 8})`;
   const form = MARKS[method % MARKS.length];
@@ -81,25 +81,25 @@ function drawChart(breakdown, metric, values) {
 
 function drawSeries(root, method, m, metric, breakdown, cells, x, y) {
   const color = `var(--m${m % 8})`;
-  const there = cells.map((cell, g) => [cell, g]).filter(([cell]) => cell && cell[0] !== null);
-  const way = there.map(([cell, g]) => `${x(g, m)},${y(cell[0])}`).join(" ");
-  root.append(svg("polyline", { points: way, fill: "none", stroke: color, "stroke-width": 1.4, opacity: 0.55 }));
-  for (const [cell, g] of there) {
+  const known = cells.map((cell, g) => [cell, g]).filter(([cell]) => cell && cell[0] !== null);
+  const points = known.map(([cell, g]) => `${x(g, m)},${y(cell[0])}`).join(" ");
+  root.append(svg("polyline", { points, fill: "none", stroke: color, "stroke-width": 1.4, opacity: 0.55 }));
+  for (const [cell, g] of known) {
     const [value, low, high] = cell;
     const node = svg("g", {});
     const interval = low === null ? "" : ` [${number(low, metric.digits)}, ${number(high, metric.digits)}]`;
     const words = `${method.name}, ${breakdown.groups[g]}: ${number(value, metric.digits)}${interval} ${metric.unit}`;
     node.append(svg("title", {}, words));
     if (low !== null) {
-      const place = { x1: x(g, m), x2: x(g, m), y1: y(low), y2: y(high) };
-      node.append(svg("line", { ...place, stroke: color, "stroke-width": 1.6 }));
+      const ends = { x1: x(g, m), x2: x(g, m), y1: y(low), y2: y(high) };
+      node.append(svg("line", { ...ends, stroke: color, "stroke-width": 1.6 }));
     }
     node.append(mark(m, x(g, m), y(value)));
     root.append(node);
   }
 }
 
-/** From 0 in three to five round steps to above the largest value. */
+/** Ticks from 0 in three to five round steps to above the largest value. */
 function niceTicks(largest) {
   if (!(largest > 0)) return [0, 1];
   const raw = largest / 4;

@@ -1,4 +1,4 @@
-/* The 3D view: the current frame's points, carried back to the previous frame by the chosen flow, and arrows. */
+/* The 3D view: the current frame's points, moved back in time by the chosen flow, and motion arrows. */
 
 class SceneView {
   constructor(canvas) {
@@ -9,7 +9,7 @@ class SceneView {
     this.scene = new THREE.Scene();
     this.geometry = new THREE.BufferGeometry();
     this.material = new THREE.PointsMaterial({ size: 2, vertexColors: true, sizeAttenuation: true });
-    // A point is as large as the gap to its neighbour, which grows with its depth.
+    // Points are as large as their spacing, which is proportional to depth.
     this.material.onBeforeCompile = (shader) => {
       const vertex = shader.vertexShader.replace("void main() {", "attribute float spread;\nvoid main() {");
       shader.vertexShader = vertex.replace("gl_PointSize = size;", "gl_PointSize = size * spread;");
@@ -24,33 +24,33 @@ class SceneView {
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
-  /** Take another pair; the camera goes to where the real one stood. */
+  /** Show another pair, seen from the real camera's position. */
   setPair(pair) {
     this.pair = pair;
     const { columns, rows, depth, stride, offset } = pair;
     const [fx, fy, cx, cy] = pair.camera;
-    const there = [];
-    for (let i = 0; i < columns * rows; i++) if (depth[i]) there.push(i);
-    this.there = there;
-    this.curr = new Float32Array(3 * there.length);
-    there.forEach((i, n) => {
+    const valid = [];
+    for (let i = 0; i < columns * rows; i++) if (depth[i]) valid.push(i);
+    this.valid = valid;
+    this.curr = new Float32Array(3 * valid.length);
+    valid.forEach((i, n) => {
       const z = depth[i] * pair.depth_step;
       const u = (i % columns) * stride + offset;
       const v = Math.floor(i / columns) * stride + offset;
       // three.js looks along -z with y up.
       this.curr.set([((u - cx) / fx) * z, (-(v - cy) / fy) * z, -z], 3 * n);
     });
-    this.distance = median(there.map((i) => depth[i])) * pair.depth_step || 1;
+    this.distance = median(valid.map((i) => depth[i])) * pair.depth_step || 1;
     this.geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(this.curr.length), 3));
     this.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(this.curr.length), 3));
-    const spread = Float32Array.from(there, (i) => depth[i] * pair.depth_step);
+    const spread = Float32Array.from(valid, (i) => depth[i] * pair.depth_step);
     this.geometry.setAttribute("spread", new THREE.BufferAttribute(spread, 1));
-    // three.js leaves the field of view out of a point's size.
+    // The point size of three.js does not include the field of view.
     this.material.size = ((1.35 * stride) / fx) * ((2 * fy) / (rows * stride));
     this.reset();
   }
 
-  /** The real camera's place and field of view, turning about the middle of what it saw. */
+  /** Return to the real camera's position and field of view; the orbit centre lies at the median depth. */
   reset() {
     const { rows, stride, camera } = this.pair;
     this.camera.fov = (2 * Math.atan((rows * stride) / (2 * camera[1])) * 180) / Math.PI;
@@ -62,14 +62,14 @@ class SceneView {
     this.controls.update();
   }
 
-  /** Draw a layer: its colours, its points at `time` (0 = previous, 1 = current frame) and its objects' arrows. */
+  /** Draw a layer: colours, points at `time` (0 = previous, 1 = current frame) and motion arrows. */
   show({ method, color, time, arrows }) {
     const layer = this.pair.layers.get(method);
     const count = this.pair.columns * this.pair.rows;
     const position = this.geometry.getAttribute("position");
     const paint = this.geometry.getAttribute("color");
     const shade = new THREE.Color();
-    this.there.forEach((i, n) => {
+    this.valid.forEach((i, n) => {
       const known = layer.flow[i] !== NO_FLOW;
       for (let k = 0; k < 3; k++) {
         const back = known ? (layer.flow[k * count + i] / 1000) * (k === 0 ? 1 : -1) : 0;
@@ -87,7 +87,7 @@ class SceneView {
 
   colorOf(layer, color, i, count) {
     const { columns, stride, offset, width, image_stride, photo, full } = this.pair;
-    const small = (place, size) => Math.min(Math.floor((place * stride + offset) / image_stride), size - 1);
+    const small = (index, size) => Math.min(Math.floor((index * stride + offset) / image_stride), size - 1);
     const u = small(i % columns, width);
     const v = small(Math.floor(i / columns), this.pair.height);
     const pixel = v * width + u;
@@ -96,22 +96,23 @@ class SceneView {
     return flowColor(color, layer.flow, this.pair.layers.get(TRUTH).flow, i, count, full);
   }
 
-  /** From where the object's centre was to where it is. */
+  /** Draw the arrow from the object's previous to its current centre. */
   addArrow(object) {
     const end = flip(object.center);
     const start = flip(object.center.map((value, k) => value + object.translation[k]));
-    const way = new THREE.Vector3().subVectors(end, start);
-    const length = way.length();
+    const displacement = new THREE.Vector3().subVectors(end, start);
+    const length = displacement.length();
     if (length < 0.003) return;
     const width = 0.006 * this.distance;
     const head = Math.min(5 * width, 0.6 * length);
-    const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), way.clone().normalize());
+    const up = new THREE.Vector3(0, 1, 0);
+    const rotation = new THREE.Quaternion().setFromUnitVectors(up, displacement.clone().normalize());
     const part = (shape, from, to, color, inFront) => {
-      // Drawn over the points: the centre lies behind the surface that is seen.
-      const look = new THREE.MeshBasicMaterial({ color, depthTest: false, depthWrite: false, transparent: true });
-      const mesh = new THREE.Mesh(shape, look);
+      // Drawn over the points, because the centre lies behind the visible surface.
+      const material = new THREE.MeshBasicMaterial({ color, depthTest: false, depthWrite: false, transparent: true });
+      const mesh = new THREE.Mesh(shape, material);
       mesh.position.lerpVectors(start, end, (from + to) / 2 / length);
-      mesh.quaternion.copy(turn);
+      mesh.quaternion.copy(rotation);
       mesh.renderOrder = inFront ? 2 : 1;
       this.arrows.add(mesh);
     };

@@ -1,4 +1,4 @@
-"""The tables as HTML: every cell shows a rounded number and carries the exact one in its attributes."""
+"""The tables as HTML: every cell shows a rounded number and holds the exact number in its attributes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from objectflow.evaluation.tables.table import Cell, Column, Row, Table, write_i
 from objectflow.evaluation.tables.tables import Tables
 from objectflow.view.report_page.assemble import escape
 
-_LOW = ("epe", "aae", "rotation", "translation", "seconds")
-"""Columns, by how their names start, in which low numbers are good."""
-_NO_RACE = ("pairs", "matched")
-"""Columns in which no number is better than another."""
+_LOWER_IS_BETTER = ("epe", "aae", "rotation", "translation", "seconds")
+"""Prefixes of column names in which lower numbers are better."""
+_NOT_RANKED = ("pairs", "matched")
+"""Columns without a best number."""
 _SECTIONS = (
     ("flow", "Scene flow", ("scene-flow",), ("scene-flow-shares",)),
     ("segmentation", "Segmentation and motions", ("segmentation", "motions"), ("segmentation-forms",)),
@@ -20,15 +20,15 @@ _SECTIONS = (
 
 
 def tables_html(tables: Tables) -> str:
-    """The sections with tables; those of the breakdowns are drawn as plots instead."""
-    left = {table.name: table for table in tables.tables if "-by-" not in table.name}
+    """The sections with tables, without the breakdowns, which are drawn as plots."""
+    remaining = {table.name: table for table in tables.tables if "-by-" not in table.name}
     sections = []
     for name, title, shown, folded in _SECTIONS:
-        own = [left.pop(one) for one in shown if one in left]
-        more = [left.pop(one) for one in folded if one in left]
-        if name == "segmentation":  # whatever else there is
-            more += left.values()
-        parts = [_table(table, "" if table.title == title else table.title) for table in own]
+        visible = [remaining.pop(key) for key in shown if key in remaining]
+        more = [remaining.pop(key) for key in folded if key in remaining]
+        if name == "segmentation":  # Takes all remaining tables.
+            more += remaining.values()
+        parts = [_table(table, "" if table.title == title else table.title) for table in visible]
         parts += [f"<details><summary>{escape(table.title)}</summary>{_table(table, '')}</details>" for table in more]
         head = f'<h2 id="{name}-title">{title}</h2>'
         sections.append(f'<section id="{name}" aria-labelledby="{name}-title">{head}{"".join(parts)}</section>')
@@ -37,7 +37,7 @@ def tables_html(tables: Tables) -> str:
 
 
 def failures_html(evaluation: Evaluation) -> str:
-    """A section naming every pair on which a method failed; nothing if none did."""
+    """A section that lists every pair on which a method failed; empty if there is none."""
     parts = []
     for method in evaluation.methods:
         if method.failures:
@@ -81,12 +81,12 @@ def _cell(cell: Cell | None, column: Column, row: Row, best: str | None) -> str:
 
 
 def _best(table: Table, column: Column) -> str | None:
-    """The best number of those that compete, as it is printed; None among fewer than two."""
-    if column.name in _NO_RACE:
+    """The best number among the methods of the evaluation, as printed; None if there are fewer than two."""
+    if column.name in _NOT_RANKED:
         return None
     cells = [row.cells.get(column.name) for row in table.rows if row.origin == "ours"]
     known = [cell for cell in cells if cell is not None and math.isfinite(cell.value)]
     if len(known) < 2:
         return None
-    pick = min if column.name.startswith(_LOW) else max
+    pick = min if column.name.startswith(_LOWER_IS_BETTER) else max
     return write_value(pick(known, key=lambda cell: cell.value), column).split(" ")[0]

@@ -1,7 +1,7 @@
-"""Which tracks are compared: neighbours are edges, pairs further off are lifted edges, and triples go where pairs cut.
+"""Graph of the multicut problem: edges between neighbours, lifted edges between distant tracks, and triples.
 
-The paper builds its graph by motion (section 4): a translation that two tracks share joins them, for whatever the true
-motion is, it contains this. Where translations differ, the pair's cost is left out and triples decide.
+As in section 4 of the paper, a pair with a common translation is joined by its pair cost, since every motion model
+contains translations. A pair with a cutting cost is replaced by triples, which also admit rotation and scaling.
 """
 
 from __future__ import annotations
@@ -15,41 +15,41 @@ from objectflow.methods.baselines.homc.tracks import Tracks
 from objectflow.typing import BoolMask, Float64Array, Int64Array
 
 NEIGHBOURS = 12
-"""Nearest tracks of a track that are its edges."""
+"""Number of nearest tracks to which a track has edges."""
 
-REACHES = (4, 8, 16)
-"""Lifted edges go to the nearest track of a point so many samplings away, in eight directions."""
+LIFTED_DISTANCES = (4, 8, 16)
+"""Lengths of lifted edges in units of the sampling; each has eight directions and ends at the nearest track."""
 
 
 def build_problem(tracks: Tracks, lab: Float64Array, frame: int, sampling: int, settings: CostSettings) -> Problem:
-    """Tracks that are all seen in one frame -> what is to be solved.
+    """Build the multicut problem of tracks that are all visible in one frame.
 
     Args:
-        tracks: N of them.
-        lab: (N, 3) their colours there.
-        frame: which.
-        sampling: pixels between tracks.
+        tracks: N tracks.
+        lab: (N, 3) their colours in that frame.
+        frame: its index.
+        sampling: spacing of the tracks, pixels.
         settings: of the costs.
     """
-    at = tracks.positions[:, frame].astype(np.float64)
-    if len(at) < 2:
-        nothing = np.zeros((0, 2), np.int64)
-        return Problem(len(at), nothing, nothing, np.zeros(0), np.zeros((0, 3), np.int64), np.zeros(0))
-    tree = cKDTree(at)
-    edges, lifted = _edges(at, tree), _lifted(at, tree, sampling)
+    positions = tracks.positions[:, frame].astype(np.float64)
+    if len(positions) < 2:
+        empty = np.zeros((0, 2), np.int64)
+        return Problem(len(positions), empty, empty, np.zeros(0), np.zeros((0, 3), np.int64), np.zeros(0))
+    tree = cKDTree(positions)
+    edges, lifted = _neighbour_edges(positions, tree), _lifted_edges(positions, tree, sampling)
     pairs = _unique(np.concatenate([edges, lifted]))
     costs = pair_costs(tracks, lab, pairs, settings)
     cut = np.flatnonzero(costs > 0)
-    triples = _triples(at, tree, pairs[cut])
+    triples = propose_triples(positions, tree, pairs[cut])
     triple_cost, known = triple_costs(tracks, triples, settings)
-    # A pair that no triple judges keeps its own cost.
-    judged = np.zeros(len(cut), np.bool_)
-    judged[np.tile(np.arange(len(cut)), 2)[known & _proper(triples)]] = True
+    use = known & _has_distinct_nodes(triples)
+    # A pair without a usable triple keeps its own cost.
+    replaced = np.zeros(len(cut), np.bool_)
+    replaced[np.tile(np.arange(len(cut)), 2)[use]] = True
     keep = np.ones(len(pairs), np.bool_)
-    keep[cut[judged]] = False
-    use = known & _proper(triples)
+    keep[cut[replaced]] = False
     return Problem(
-        nodes=len(at),
+        nodes=len(positions),
         edges=edges,
         pairs=pairs[keep],
         pair_costs=costs[keep],
@@ -58,39 +58,39 @@ def build_problem(tracks: Tracks, lab: Float64Array, frame: int, sampling: int, 
     )
 
 
-def _edges(at: Float64Array, tree: cKDTree) -> Int64Array:
-    count = min(NEIGHBOURS + 1, len(at))
-    _, near = tree.query(at, k=count)
-    near = np.asarray(near, dtype=np.int64).reshape(len(at), count)
-    return _unique(np.stack([np.repeat(np.arange(len(at)), count), near.ravel()], axis=1))
+def propose_triples(positions: Float64Array, tree: cKDTree, pairs: Int64Array) -> Int64Array:
+    """Complete each pair (P, 2) to two triples (2 P, 3) by the tracks nearest to the tips of equilateral triangles.
 
-
-def _lifted(at: Float64Array, tree: cKDTree, sampling: int) -> Int64Array:
-    angles = np.arange(8) * np.pi / 4
-    out = []
-    for reach in REACHES:
-        for angle in angles:
-            goal = at + reach * sampling * np.array([np.cos(angle), np.sin(angle)])
-            distance, near = tree.query(goal)
-            there = distance < reach * sampling / 2
-            out.append(np.stack([np.flatnonzero(there), np.asarray(near)[there]], axis=1))
-    return _unique(np.concatenate(out))
-
-
-def _triples(at: Float64Array, tree: cKDTree, pairs: Int64Array) -> Int64Array:
-    """For each pair (P, 2) the tracks nearest to the tips of the two equilateral triangles over it: (2 P, 3).
-
-    Three points far from each other and from one line fix and test a similarity best.
+    Distant points that are not collinear determine and test a similarity best.
     """
-    p, q = at[pairs[:, 0]], at[pairs[:, 1]]
+    p, q = positions[pairs[:, 0]], positions[pairs[:, 1]]
     across = (q - p)[:, ::-1] * [1, -1] * (np.sqrt(3) / 2)
     tips = np.concatenate([(p + q) / 2 + across, (p + q) / 2 - across])
     third = np.asarray(tree.query(tips)[1], dtype=np.int64) if len(tips) else np.zeros(0, np.int64)
     return np.concatenate([np.tile(pairs, (2, 1)), third[:, None]], axis=1)
 
 
-def _proper(triples: Int64Array) -> BoolMask:
-    """(T,) bool: three different nodes."""
+def _neighbour_edges(positions: Float64Array, tree: cKDTree) -> Int64Array:
+    count = min(NEIGHBOURS + 1, len(positions))
+    _, nearest = tree.query(positions, k=count)
+    nearest = np.asarray(nearest, dtype=np.int64).reshape(len(positions), count)
+    return _unique(np.stack([np.repeat(np.arange(len(positions)), count), nearest.ravel()], axis=1))
+
+
+def _lifted_edges(positions: Float64Array, tree: cKDTree, sampling: int) -> Int64Array:
+    angles = np.arange(8) * np.pi / 4
+    out = []
+    for length in LIFTED_DISTANCES:
+        for angle in angles:
+            target = positions + length * sampling * np.array([np.cos(angle), np.sin(angle)])
+            distance, nearest = tree.query(target)
+            found = distance < length * sampling / 2
+            out.append(np.stack([np.flatnonzero(found), np.asarray(nearest)[found]], axis=1))
+    return _unique(np.concatenate(out))
+
+
+def _has_distinct_nodes(triples: Int64Array) -> BoolMask:
+    """(T,) bool: whether the three nodes differ."""
     return np.asarray((triples[:, 2] != triples[:, 0]) & (triples[:, 2] != triples[:, 1]))
 
 

@@ -1,9 +1,8 @@
 """The second-order part of the solver: greedy additive edge contraction, then Kernighan-Lin with joins.
 
-Both are those of `bioimage-cpp`, which knows pairs alone. A triple is spread over its three pairs: of three nodes,
-none, one or all three pairs are together, and c / 3 a pair is right for none and all.
-Around a partition that holds one of
-the three pairs together, 0 for that pair and c / 2 for the two others is right as well.
+Both are implemented by `bioimage-cpp` for pair costs only, so the cost c of a triple is spread over its three pairs.
+A partition joins none, one or all three of the pairs. A share of c / 3 per pair is exact for none and all. For a
+partition that joins exactly one pair, shares of 0 for that pair and c / 2 for the others are exact.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from objectflow.typing import Float64Array, Int64Array
 
 
 def import_solver() -> Any:
-    """`bioimage_cpp.graph`.
+    """Import `bioimage_cpp.graph`.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: `bioimage-cpp` is not installed.
     """
     try:
         from bioimage_cpp import graph
@@ -33,12 +32,15 @@ def import_solver() -> Any:
 def spread_triples(
     problem: Problem, labels: Int64Array | None, share: float = 1 / 3
 ) -> tuple[Int64Array, Float64Array]:
-    """Pairs (P, 2), each once with the smaller node first, and costs (P,) that stand for pairs and triples.
+    """Approximate pair and triple costs by pair costs.
 
     Args:
-        problem: what is to be solved.
-        labels: (N,) the partition around which a triple's costs shall be right; None for none.
-        share: of a triple's costs to each of its pairs where nothing better is known.
+        problem: the problem.
+        labels: (N,) partition for which the approximation is exact, or None.
+        share: share of a triple's cost that each of its pairs gets without a partition.
+
+    Returns:
+        (P, 2) unique pairs with the smaller node first, and (P,) costs.
     """
     a, b, c = problem.triples.T
     sides = np.concatenate([problem.triples[:, [0, 1]], problem.triples[:, [1, 2]], problem.triples[:, [0, 2]]])
@@ -54,7 +56,7 @@ def spread_triples(
 
 
 def solve_pairs(problem: Problem, pairs: Int64Array, costs: Float64Array, start: Int64Array | None) -> Int64Array:
-    """A partition for pairs alone, from a partition (N,) or, without one, from nothing joined.
+    """Partition the nodes by pair costs, starting from a partition (N,) or, if None, from greedy contraction.
 
     Raises:
         MissingExtraError: `bioimage-cpp` is not installed.
@@ -67,7 +69,7 @@ def solve_pairs(problem: Problem, pairs: Int64Array, costs: Float64Array, start:
     lifted: dict[str, Any] = {}
     if not is_edge.all():
         lifted = {"lifted_uvs": pairs[~is_edge].astype(np.uint64), "lifted_costs": -costs[~is_edge]}
-    # There, weights are paid for being cut.
+    # The library's weights are costs of cutting.
     objective = graph.lifted_multicut.LiftedMulticutObjective(base, -costs[is_edge], **lifted)
     if start is None:
         graph.lifted_multicut.LiftedGreedyAdditiveMulticut().optimize(objective)

@@ -1,8 +1,7 @@
-"""Point trajectories: pixels followed from frame to frame by dense optical flow, as long as it goes there and back.
+"""Point tracks: pixels tracked from frame to frame by dense optical flow while it is forward-backward consistent.
 
-Sundaram, Brox and Keutzer (ECCV 2010). A new track starts wherever a cell of the sampling grid has none, in every
-frame, so that what comes into sight is followed as well; but only where the image has structure, and none goes on
-where the flow changes from the motion of one surface to that of another.
+Sundaram, Brox and Keutzer (ECCV 2010). In every frame, new tracks start in cells of the sampling grid without a track,
+where the image has structure. Tracks end at motion boundaries of the flow.
 """
 
 from __future__ import annotations
@@ -14,13 +13,14 @@ import cv2
 import numpy as np
 
 from objectflow.alignment import matching
+from objectflow.alignment.appearance import to_gray
 from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
-STRUCTURE = 0.125
-"""Least second eigenvalue of the structure tensor, in units of its mean over the image."""
+MIN_STRUCTURE = 0.125
+"""Minimum smaller eigenvalue of the structure tensor, relative to its mean over the image."""
 
-SPREAD = 4
-"""Pixels: how far off a flow is compared with its surroundings."""
+NEIGHBOUR_DISTANCE = 4
+"""Distance at which a flow is compared with its surroundings, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,102 +28,102 @@ class Tracks:
     """N tracks through T frames.
 
     Attributes:
-        positions: (N, T, 2) pixels as (u, v); NaN where a track is not.
-        deviations: (N, T - 1) pixels: how much the flow varies around the track, from each frame to the next.
+        positions: (N, T, 2) pixels (u, v); NaN where a track does not exist.
+        deviations: (N, T - 1) variation of the flow around the track between consecutive frames, pixels.
     """
 
     positions: Float32Array
     deviations: Float32Array
 
-    def seen_in(self, frame: int) -> Tracks:
-        """Those that are seen in a frame and in another."""
-        there = np.isfinite(self.positions[..., 0])
-        keep = there[:, frame] & (there.sum(1) > 1)
+    def visible_in(self, frame: int) -> Tracks:
+        """The tracks that are visible in a frame and in at least one other."""
+        visible = np.isfinite(self.positions[..., 0])
+        keep = visible[:, frame] & (visible.sum(1) > 1)
         return Tracks(self.positions[keep], self.deviations[keep])
 
 
-def follow(images: Sequence[UInt8Array], sampling: int) -> Tracks:
-    """Follow points through (H, W, 3) RGB images, one for each cell of `sampling` pixels.
+def track_points(images: Sequence[UInt8Array], sampling: int) -> Tracks:
+    """Track points through (H, W, 3) RGB images, one per cell of `sampling` pixels.
 
-    A pair of images that comes again is not computed again.
+    The flow of a repeated pair of images is computed once.
     """
     height, width = images[0].shape[:2]
-    steps: dict[tuple[int, int], tuple[Float32Array, BoolMask, Float32Array]] = {}
+    cache: dict[tuple[int, int], tuple[Float32Array, BoolMask, Float32Array]] = {}
     positions = np.zeros((0, len(images), 2), np.float32)
     deviations = np.zeros((0, len(images) - 1), np.float32)
     for t in range(len(images) - 1):
         key = id(images[t]), id(images[t + 1])
-        if key not in steps:
-            steps[key] = _flow(images[t], images[t + 1])
-        flow, consistent, deviation = steps[key]
-        fresh = _free_cells(positions[:, t], sampling, height, width)
-        fresh = fresh[_structure(images[t])[_nearest(fresh, height, width)]]
-        positions = np.concatenate([positions, np.full((len(fresh), len(images), 2), np.nan, np.float32)])
-        deviations = np.concatenate([deviations, np.full((len(fresh), len(images) - 1), np.nan, np.float32)])
-        positions[len(positions) - len(fresh) :, t] = fresh
+        if key not in cache:
+            cache[key] = _flow(images[t], images[t + 1])
+        flow, consistent, deviation = cache[key]
+        new = _free_cells(positions[:, t], sampling, height, width)
+        new = new[_has_structure(images[t])[_nearest(new, height, width)]]
+        positions = np.concatenate([positions, np.full((len(new), len(images), 2), np.nan, np.float32)])
+        deviations = np.concatenate([deviations, np.full((len(new), len(images) - 1), np.nan, np.float32)])
+        positions[len(positions) - len(new) :, t] = new
 
-        here = np.flatnonzero(np.isfinite(positions[:, t, 0]))
-        at = positions[here, t]
-        row, column = _nearest(at, height, width)
-        arrived = at + _sample(flow, at)
-        inside = (arrived >= 0).all(1) & (arrived <= [width - 1, height - 1]).all(1)
-        goes_on = inside & consistent[row, column]
-        positions[here[goes_on], t + 1] = arrived[goes_on]
-        deviations[here[goes_on], t] = deviation[row, column][goes_on]
+        active = np.flatnonzero(np.isfinite(positions[:, t, 0]))
+        pixels = positions[active, t]
+        row, column = _nearest(pixels, height, width)
+        moved = pixels + _sample(flow, pixels)
+        inside = (moved >= 0).all(1) & (moved <= [width - 1, height - 1]).all(1)
+        continued = inside & consistent[row, column]
+        positions[active[continued], t + 1] = moved[continued]
+        deviations[active[continued], t] = deviation[row, column][continued]
     return Tracks(positions, deviations)
 
 
-def _flow(image: UInt8Array, following: UInt8Array) -> tuple[Float32Array, BoolMask, Float32Array]:
-    """Flow (H, W, 2) to the following image, where it comes back, and (H, W) how much it varies on one surface."""
-    flow, consistent = matching.dense_flow(matching.gray(following), matching.gray(image))
-    padded = np.pad(flow, ((SPREAD, SPREAD), (SPREAD, SPREAD), (0, 0)), mode="edge")
+def _flow(image: UInt8Array, next_image: UInt8Array) -> tuple[Float32Array, BoolMask, Float32Array]:
+    """Flow (H, W, 2) to the next image, its consistency (H, W), and its variation on a surface (H, W), pixels."""
+    flow, consistent = matching.dense_flow(to_gray(next_image), to_gray(image))
+    d = NEIGHBOUR_DISTANCE
+    padded = np.pad(flow, ((d, d), (d, d), (0, 0)), mode="edge")
     height, width = consistent.shape
     differences = np.stack(
         [
             np.linalg.norm(padded[i : i + height, j : j + width] - flow, axis=-1)
-            for i in (0, SPREAD, 2 * SPREAD)
-            for j in (0, SPREAD, 2 * SPREAD)
-            if (i, j) != (SPREAD, SPREAD)
+            for i in (0, d, 2 * d)
+            for j in (0, d, 2 * d)
+            if (i, j) != (d, d)
         ]
     )
-    # The third smallest of eight: at the corner of a surface three neighbours still lie on it.
+    # Sundaram et al., equation 6: the flow mixes two motions at boundaries.
     du, dv = np.diff(flow, axis=1, append=flow[:, -1:]), np.diff(flow, axis=0, append=flow[-1:])
     change = np.square(du).sum(-1) + np.square(dv).sum(-1)
-    # Sundaram et al., equation 6: there the flow is a mixture of two motions.
     consistent &= change < 0.01 * np.square(flow).sum(-1) + 0.002
+    # The third smallest of the eight differences, since at the corner of a surface three neighbours lie on it.
     return flow, consistent, np.asarray(np.partition(differences, 2, axis=0)[2], dtype=np.float32)
 
 
-def _structure(image: UInt8Array) -> BoolMask:
-    """Where a point can be told from its surroundings in every direction (Brox and Malik, ECCV 2010, section 2.1)."""
-    least = cv2.cornerMinEigenVal(matching.gray(image), 5)
-    return np.asarray(least > STRUCTURE * least.mean())
+def _has_structure(image: UInt8Array) -> BoolMask:
+    """Pixels that can be localised in both directions (Brox and Malik, ECCV 2010, section 2.1)."""
+    eigenvalue = cv2.cornerMinEigenVal(to_gray(image), 5)
+    return np.asarray(eigenvalue > MIN_STRUCTURE * eigenvalue.mean())
 
 
-def _nearest(at: Float32Array, height: int, width: int) -> tuple[IndexArray, IndexArray]:
-    pixel = np.rint(at).astype(np.intp)
-    return np.clip(pixel[:, 1], 0, height - 1), np.clip(pixel[:, 0], 0, width - 1)
+def _nearest(pixels: Float32Array, height: int, width: int) -> tuple[IndexArray, IndexArray]:
+    index = np.rint(pixels).astype(np.intp)
+    return np.clip(index[:, 1], 0, height - 1), np.clip(index[:, 0], 0, width - 1)
 
 
 def _free_cells(positions: Float32Array, sampling: int, height: int, width: int) -> Float32Array:
     """Centres (M, 2) of the cells without a track."""
     rows, columns = -(-height // sampling), -(-width // sampling)
-    taken = np.zeros((rows, columns), np.bool_)
-    at = positions[np.isfinite(positions[:, 0])]
-    cell = (at / sampling).astype(int)
-    taken[np.clip(cell[:, 1], 0, rows - 1), np.clip(cell[:, 0], 0, columns - 1)] = True
-    row, column = np.nonzero(~taken)
+    occupied = np.zeros((rows, columns), np.bool_)
+    cell = (positions[np.isfinite(positions[:, 0])] / sampling).astype(int)
+    occupied[np.clip(cell[:, 1], 0, rows - 1), np.clip(cell[:, 0], 0, columns - 1)] = True
+    row, column = np.nonzero(~occupied)
     centers = np.stack([column, row], axis=1) * sampling + (sampling - 1) / 2
     return np.asarray(np.minimum(centers, [width - 1, height - 1]), dtype=np.float32)
 
 
-def _sample(flow: Float32Array, at: Float32Array) -> Float32Array:
-    u, v = (np.ascontiguousarray(at[:, k, None]) for k in (0, 1))
-    if not len(at):
+def _sample(flow: Float32Array, pixels: Float32Array) -> Float32Array:
+    u, v = (np.ascontiguousarray(pixels[:, k, None]) for k in (0, 1))
+    if not len(pixels):
         return np.zeros((0, 2), np.float32)
-    # OpenCV's images are limited to 32767 rows.
+    # `cv2.remap` is limited to 32767 rows.
     parts = [
         cv2.remap(flow, u[k : k + 30000], v[k : k + 30000], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        for k in range(0, len(at), 30000)
+        for k in range(0, len(pixels), 30000)
     ]
     return np.asarray(np.concatenate(parts)[:, 0], dtype=np.float32)

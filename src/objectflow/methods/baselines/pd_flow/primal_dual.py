@@ -1,4 +1,4 @@
-"""The primal-dual solver of one level: Chambolle and Pock's, with a step of its own for every variable."""
+"""The primal-dual solver of one level: Chambolle-Pock with diagonal preconditioning."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class State(NamedTuple):
     """The variables of a level, (B, C, H, W); the duals lie within the unit ball.
 
     Attributes:
-        flow: 3 channels: increments of u and v over `Level.before`, in pixels, and the whole w in metres.
+        flow: 3 channels: increments of u and v to `Level.warp` in pixels, and the total w in metres.
         depth_dual: 1 channel.
         smooth_dual: 6 channels: along u for u, v, w, then along v.
     """
@@ -32,43 +32,42 @@ def solve(level: Level, state: State, iterations: int) -> State:
 
         sum |I_t + I_u u + I_v v| + mu |Z_t + Z_u u + Z_v v - w| + sum_f lambda_f |r grad f|
 
-    with the last sum over f = u_before + u, v_before + v and w. Brightness is minimised exactly in every step
-    (shrinkage along its gradient), depth and smoothness through their duals.
+    with the last sum over f = u_warp + u, v_warp + v and w. The brightness term is minimised exactly in every step
+    (shrinkage along its gradient), the depth and smoothness terms through their duals.
     """
     weight = smooth_weights(level.metric)
     depth_row = torch.cat([level.depth[:, :2], -torch.ones_like(level.mu)], 1)
     depth_t, depth_step = level.depth[:, 2:], 1 / (1 + level.depth[:, :2].abs().sum(1, keepdim=True))
-    pull = level.mu * depth_row
-    tau = 1 / (pull.abs() + _sum_of_neighbours(weight)).clamp(min=1e-10)
+    weighted_depth_row = level.mu * depth_row
+    tau = 1 / (weighted_depth_row.abs() + _sum_of_neighbours(weight)).clamp(min=1e-10)
     gray_row, gray_t = level.gray[:, :2], level.gray[:, 2:]
-    along = tau[:, :2] * gray_row
-    reach = (along * gray_row).sum(1, keepdim=True).clamp(min=1e-10)
-    before = torch.cat([level.before, torch.zeros_like(level.mu)], 1)
+    gray_step = tau[:, :2] * gray_row
+    gray_norm = (gray_step * gray_row).sum(1, keepdim=True).clamp(min=1e-10)
+    warp = torch.cat([level.warp, torch.zeros_like(level.mu)], 1)
 
     flow, depth_dual, smooth_dual = (tensor.clone() for tensor in state)
-    # As the authors start: u and v have no increment yet, w is that of the coarser level.
-    ahead = flow.clone()
+    extrapolated = flow.clone()
     for _ in range(iterations):
-        # Duals: sigma = 0.5 / (lambda r) and 1 / (mu (1 + |Z_u| + |Z_v|)) cancel the weights.
-        depth_dual += depth_step * (depth_t + (depth_row * ahead).sum(1, keepdim=True))
+        # Dual step: sigma = 0.5 / (lambda r) and 1 / (mu (1 + |Z_u| + |Z_v|)) cancel the weights.
+        depth_dual += depth_step * (depth_t + (depth_row * extrapolated).sum(1, keepdim=True))
         depth_dual.clamp_(-1, 1)
-        smooth_dual += 0.5 * _differences(ahead + before)
-        smooth_dual = _into_unit_ball(smooth_dual)
-        # Primals, then brightness by exact shrinkage.
-        new = flow - tau * (pull * depth_dual - _divergence(weight * smooth_dual))
+        smooth_dual += 0.5 * _differences(extrapolated + warp)
+        smooth_dual = _project_to_unit_ball(smooth_dual)
+        # Primal step, followed by exact shrinkage of the brightness term.
+        new = flow - tau * (weighted_depth_row * depth_dual - _divergence(weight * smooth_dual))
         brightness = gray_t + (gray_row * new[:, :2]).sum(1, keepdim=True)
-        new[:, :2] -= along * (brightness / reach).clamp_(-1, 1)
-        ahead = 2 * new - flow
+        new[:, :2] -= gray_step * (brightness / gray_norm).clamp_(-1, 1)
+        extrapolated = 2 * new - flow
         flow = new
     return State(flow, depth_dual, smooth_dual)
 
 
 def energy(level: Level, flow: Tensor) -> Tensor:
-    """(B,) value of the energy that `solve` minimises, of its `State.flow`."""
+    """(B,) energy that `solve` minimises, of a `State.flow`."""
     brightness = level.gray[:, 2] + (level.gray[:, :2] * flow[:, :2]).sum(1)
     depth = level.depth[:, 2] + (level.depth[:, :2] * flow[:, :2]).sum(1) - flow[:, 2]
-    whole = flow + torch.cat([level.before, torch.zeros_like(level.mu)], 1)
-    slope = smooth_weights(level.metric) * _differences(whole)
+    total_flow = flow + torch.cat([level.warp, torch.zeros_like(level.mu)], 1)
+    slope = smooth_weights(level.metric) * _differences(total_flow)
     variation = torch.hypot(slope[:, :3], slope[:, 3:])
     total: Tensor = (
         brightness.abs().sum((1, 2)) + (level.mu[:, 0] * depth.abs()).sum((1, 2)) + variation.sum((1, 2, 3))
@@ -77,7 +76,7 @@ def energy(level: Level, flow: Tensor) -> Tensor:
 
 
 def smooth_weights(metric: Tensor) -> Tensor:
-    """Weights lambda r of each difference, (B, 6, H, W); 0 where there is no next pixel."""
+    """Weights lambda r of the differences, (B, 6, H, W); 0 where there is no next pixel."""
     factor = torch.tensor(LAMBDA, dtype=metric.dtype, device=metric.device)[None, :, None, None]
     out = torch.cat([factor * metric[:, :1], factor * metric[:, 1:]], 1)
     out[:, :3, :, -1] = 0
@@ -86,7 +85,7 @@ def smooth_weights(metric: Tensor) -> Tensor:
 
 
 def _differences(field: Tensor) -> Tensor:
-    """(B, 3, H, W) -> (B, 6, H, W): to the next pixel along u, then along v; 0 where there is none."""
+    """(B, 3, H, W) -> (B, 6, H, W): differences to the next pixel along u, then along v; 0 where there is none."""
     out = torch.zeros_like(field).repeat(1, 2, 1, 1)
     torch.sub(field[..., 1:], field[..., :-1], out=out[:, :3, :, :-1])
     torch.sub(field[..., 1:, :], field[..., :-1, :], out=out[:, 3:, :-1])
@@ -94,7 +93,7 @@ def _differences(field: Tensor) -> Tensor:
 
 
 def _divergence(dual: Tensor) -> Tensor:
-    """(B, 6, H, W) -> (B, 3, H, W): minus the transpose of `_differences`, of duals that are 0 at the end."""
+    """(B, 6, H, W) -> (B, 3, H, W): negative adjoint of `_differences`, for duals that are 0 at the last pixel."""
     along_u, along_v = dual[:, :3], dual[:, 3:]
     out = along_u + along_v
     out[..., 1:] -= along_u[..., :-1]
@@ -102,13 +101,13 @@ def _divergence(dual: Tensor) -> Tensor:
     return out
 
 
-def _into_unit_ball(dual: Tensor) -> Tensor:
+def _project_to_unit_ball(dual: Tensor) -> Tensor:
     length = torch.hypot(dual[:, :3], dual[:, 3:]).clamp_(min=1)
     return dual / torch.cat([length, length], 1)
 
 
 def _sum_of_neighbours(weight: Tensor) -> Tensor:
-    """(B, 6, H, W) -> (B, 3, H, W): the weights of all differences that a variable takes part in."""
+    """(B, 6, H, W) -> (B, 3, H, W): sum of the weights of all differences that involve a variable."""
     along_u, along_v = weight[:, :3], weight[:, 3:]
     out = along_u + along_v
     out[..., 1:] += along_u[..., :-1]

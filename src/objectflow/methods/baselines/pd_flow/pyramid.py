@@ -1,4 +1,4 @@
-"""Image pyramids of PD-Flow: gray by a 5x5 binomial mask, depth by the same on one surface only."""
+"""Image pyramids of PD-Flow: gray filtered by a 5x5 binomial kernel, depth by the same within one surface."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from torch import Tensor
 
 LEVELS = 5
 _SURFACE = 0.1
-"""Metres: depth further than this from the block's own does not count."""
+"""Largest difference to the centre's depth at which a neighbour has a weight, metres."""
 _BINOMIAL = (1.0, 4.0, 6.0, 4.0, 1.0)
 
 
 class Images(NamedTuple):
-    """Frames at one resolution: pixel (u, v) of a level is pixel (2u, 2v) of the next finer one.
+    """Frames at one resolution; pixel (u, v) of a level is pixel (2u, 2v) of the next finer level.
 
     Attributes:
         gray: (B, 1, H, W), 0..255.
@@ -29,7 +29,7 @@ class Images(NamedTuple):
 
 
 def build_pyramid(images: Images, levels: int = LEVELS) -> list[Images]:
-    """The levels of both sides a multiple of `2 ** (levels - 1)`, finest first."""
+    """Build the levels, finest first; height and width must be multiples of `2 ** (levels - 1)`."""
     out = [images]
     for _ in range(levels - 1):
         fine = out[-1]
@@ -38,13 +38,13 @@ def build_pyramid(images: Images, levels: int = LEVELS) -> list[Images]:
 
 
 def upsample_flow(values: Tensor) -> Tensor:
-    """(B, C, H, W) -> (B, C, 2H, 2W): values go to the even pixels, the binomial mask fills those between."""
-    mask = _mask(values)
-    # Divided by the weight of what there is: near the border, too, a constant stays what it is.
-    return _filter(_spread(values), mask) / _filter(_spread(torch.ones_like(values[:1, :1])), mask)
+    """(B, C, H, W) -> (B, C, 2H, 2W): values are placed on even pixels and interpolated by the binomial kernel."""
+    kernel = _kernel(values)
+    # Normalised by the sum of the weights used, so that constants are preserved at the border.
+    return _filter(_insert_zeros(values), kernel) / _filter(_insert_zeros(torch.ones_like(values[:1, :1])), kernel)
 
 
-def _spread(values: Tensor) -> Tensor:
+def _insert_zeros(values: Tensor) -> Tensor:
     batch, channels, height, width = values.shape
     out = values.new_zeros(batch, channels, height, 2, width, 2)
     out[:, :, :, 0, :, 0] = values
@@ -52,28 +52,28 @@ def _spread(values: Tensor) -> Tensor:
 
 
 def _halve_gray(gray: Tensor) -> Tensor:
-    mask = _mask(gray)
-    inside = _filter(torch.ones_like(gray[:1]), mask)
-    return (_filter(gray, mask) / inside)[..., ::2, ::2]
+    kernel = _kernel(gray)
+    inside = _filter(torch.ones_like(gray[:1]), kernel)
+    return (_filter(gray, kernel) / inside)[..., ::2, ::2]
 
 
 def _halve_depth(depth: Tensor) -> Tensor:
-    """Weights fall with the distance in depth from the pixel that is kept; what it does not see stays missing."""
+    """Average each even pixel with neighbours, weighted by similarity in depth; missing even pixels stay missing."""
     batch, _, height, width = depth.shape
-    own = depth[..., ::2, ::2].flatten(2)
+    center = depth[..., ::2, ::2].flatten(2)
     block = F.unfold(depth, 5, padding=2, stride=2)
-    weight = _mask(depth).view(1, 25, 1) * (_SURFACE - (block - own).abs()).clamp(min=0) * (block > 0)
+    weight = _kernel(depth).view(1, 25, 1) * (_SURFACE - (block - center).abs()).clamp(min=0) * (block > 0)
     total = weight.sum(1, keepdim=True)
     mean = (weight * block).sum(1, keepdim=True) / total.clamp(min=1e-12)
-    return torch.where((own > 0) & (total > 0), mean, 0.0).view(batch, 1, height // 2, width // 2)
+    return torch.where((center > 0) & (total > 0), mean, 0.0).view(batch, 1, height // 2, width // 2)
 
 
-def _mask(like: Tensor) -> Tensor:
+def _kernel(like: Tensor) -> Tensor:
     row = torch.tensor(_BINOMIAL, dtype=like.dtype, device=like.device) / 16
     return row[:, None] * row
 
 
-def _filter(image: Tensor, mask: Tensor) -> Tensor:
+def _filter(image: Tensor, kernel: Tensor) -> Tensor:
     batch, channels, height, width = image.shape
-    out = F.conv2d(image.reshape(batch * channels, 1, height, width), mask[None, None], padding=2)
+    out = F.conv2d(image.reshape(batch * channels, 1, height, width), kernel[None, None], padding=2)
     return out.view(image.shape)

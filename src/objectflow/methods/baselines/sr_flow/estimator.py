@@ -1,60 +1,59 @@
 """`sr-flow`: dense semi-rigid scene flow (Quiroga, Brox, Devernay and Crowley, ECCV 2014), written from the paper.
 
-Every pixel has a twist, six numbers. It should explain the intensity and the depth of its window in the other frame
-(`residuals`, equations 6 and 7), and the field of twists should be piecewise constant, as it is where rigid bodies
-move (`smooth`, equation 16). The two are solved in turn (`local`) from coarse to fine (`pyramid`). A camera that
-moves is a rigid motion of everything, found first on each level (`rigid`). The flow is (exp(xi) - I) P.
+Every pixel has a twist xi of six parameters. The data term compares the intensity and depth of the moved window with
+the second frame (`residuals`, equations 6 and 7); the smoothness term makes the twist field piecewise constant, as for
+rigid bodies (`smooth`, equation 16). The two are minimised alternately (`local`) from coarse to fine (`pyramid`). A
+camera motion is a rigid motion of the whole scene, estimated first on each level (`rigid`). The flow is
+(exp(xi) - I) P.
 
-What differs from the authors' program, and why:
-- Pictures are worked on at a width of 320 pixels, not 640: the project's data has that size.
-- Twists turn about the mean point of the scene and rotations count as displacements at an arm of 10 cm, where the
-  program turns about the camera and loosens rotations by a factor of 1000. There every sideways step passed for a
-  rotation about the camera, free of charge, and the minimum of the energy is a rotation field without features.
-- alpha is 1, not 10, in this energy: 10 holds motions of less than a centimetre back;
-  `benchmarks/small_motions.py` compares the two.
-- A pixel whose Gauss-Newton step would be less than 10 micrometres does not take it, which spares most windows.
-- Gauss-Newton steps are damped and undone where they raise the energy, outliers pay a constant and not nothing, and
-  the dual of the smoothing is kept between alternations. So the energy falls at every alternation.
-- The rigid motion is found without the local field, whose smooth part would take its place bit by bit.
-- The whole range of depth is used, where the program ignores what lies outside 0.5 to 1.0 m.
+Differences from the authors' program:
+- The working width is 320 pixels, not 640, the size of the project's data.
+- Twists rotate about the mean point of the scene, and rotations are weighted as displacements at a lever arm of 10 cm.
+  The program rotates about the camera and scales the coupling of rotations down by 1000, so that lateral translations
+  can be explained by rotations about the camera at no cost and the minimum is a featureless rotation field.
+- alpha is 1, not 10: 10 suppresses motions below 1 cm in this energy; `benchmarks/small_motions.py` compares the two.
+- Pixels whose Gauss-Newton step is below 10 micrometres are skipped, which saves most of the computation.
+- Gauss-Newton steps are damped and rejected where they increase the energy, outliers have a constant cost instead of
+  none, and the dual of the smoothing is kept between alternations, so the energy decreases monotonically.
+- The rigid motion is estimated without the local field, which would otherwise absorb it.
+- All depths are used; the program ignores depth outside 0.5 to 1.0 m.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from objectflow import geometry
-from objectflow.errors import MethodError
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.frame import RgbdFrame
 from objectflow.geometry import torch_pinhole
-from objectflow.methods.base import check_camera_option
+from objectflow.methods.base import PairEstimator
 from objectflow.methods.baselines.sr_flow import local, twists
 from objectflow.methods.baselines.sr_flow.pyramid import CENTIMETRES, build_pyramid
 from objectflow.methods.baselines.sr_flow.residuals import Weights
 from objectflow.methods.baselines.sr_flow.rigid import apply_rigid, solve_rigid
 from objectflow.motion import SceneMotion
 from objectflow.runtime.devices import find_device
+from objectflow.settings import Settings, setting
 from objectflow.typing import Float64Array
-
-MODES = ("auto", "non-rigid", "rigid", "semi-rigid")
 
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What the method found at its own resolution.
+    """The solution at the working resolution.
 
     Attributes:
-        motion: (B, 4, 4) float64, the rigid part: `prev_T_curr` of arms from the pivot, cm.
-        twist: (B, 6, H, W) the local part, which follows it.
+        motion: (B, 4, 4) float64, the rigid part: `prev_T_curr` of points relative to the pivot, cm.
+        twist: (B, 6, H, W) the local part, applied after the rigid part.
         pivot: (B, 3, 1, 1) cm.
         energies: for each level, coarse to fine, the energy (B,) before the first alternation and after each.
-        rigid_costs: for each level, the rigid step's cost before the first iteration and after each.
+        rigid_costs: for each level, the cost of the rigid step before the first iteration and after each.
     """
 
     motion: Tensor
@@ -65,61 +64,50 @@ class Solution:
 
 
 @dataclass(frozen=True)
-class SRFlow:
-    """Semi-rigid scene flow; flow only, no objects.
+class SRFlow(Settings, PairEstimator):
+    """Semi-rigid scene flow; flow only, no objects."""
 
-    Attributes:
-        camera: "moving" asks for the semi-rigid mode; otherwise a camera's motion is simply part of the flow.
-        mode: "non-rigid" (a twist a pixel), "rigid" (one motion for all), "semi-rigid" (both) or "auto" (by `camera`).
-        device: where to compute: "auto", "cpu", "cuda" or "cuda:N".
-        width: pixels; wider pictures are worked on at this width.
-        levels: of the pyramid.
-        alternations, steps, smoothing_steps, rigid_steps: iterations on each level.
-        radius: windows are 2 radius + 1 pixels wide.
-        intensity_weight, depth_weight, alpha, kappa, arm: see `local`.
-
-    Raises:
-        MethodError: an option without meaning, or a device that is not there.
-    """
-
-    camera: str = "auto"
-    mode: str = "auto"
+    camera: Literal["auto", "static", "moving"] = "auto"
+    """moving selects the semi-rigid mode; otherwise a camera motion is part of the flow."""
+    mode: Literal["auto", "non-rigid", "rigid", "semi-rigid"] = "auto"
+    """non-rigid: a twist per pixel. rigid: one motion. semi-rigid: both. auto: by `camera`."""
     device: str = "auto"
-    width: int = 320
-    levels: int = 3
-    alternations: int = 5
-    steps: int = 5
-    smoothing_steps: int = 50
-    rigid_steps: int = 100
-    radius: int = 2
-    intensity_weight: float = 1.0
-    depth_weight: float = 0.1
-    alpha: float = 1.0
-    kappa: float = 0.05
-    arm: float = 10.0
+    """auto, cpu, cuda or cuda:N."""
+    width: int = setting(320, minimum=1)
+    """Pixels: wider images are downscaled to it."""
+    levels: int = setting(3, minimum=1)
+    """Maximum number of pyramid levels."""
+    alternations: int = setting(5, minimum=1)
+    """Alternations between the local and the rigid step on each level."""
+    steps: int = setting(5, minimum=1)
+    """Iterations of the local step."""
+    smoothing_steps: int = setting(50, minimum=1)
+    """Iterations of the smoothing step."""
+    rigid_steps: int = setting(100, minimum=1)
+    """Maximum number of iterations of the rigid step."""
+    radius: int = setting(2, minimum=1)
+    """Pixels: windows are 2 radius + 1 wide."""
+    intensity_weight: float = setting(1.0, above=0, below=1e6)
+    """Weight of the intensity residual; see `local`."""
+    depth_weight: float = setting(0.1, above=0, below=1e6)
+    """Weight of the depth residual; see `local`."""
+    alpha: float = setting(1.0, above=0, below=1e6)
+    """Weight of the regularisation; see `local`."""
+    kappa: float = setting(0.05, above=0, below=1e6)
+    """See `local`."""
+    arm: float = setting(10.0, above=0, below=1e6)
+    """Centimetres: lever arm that relates rotations to translations; see `local`."""
 
     def __post_init__(self) -> None:
-        check_camera_option(self.camera)
-        if self.mode not in MODES:
-            raise MethodError(f"mode must be one of {', '.join(MODES)}, not {self.mode!r}")
-        for name in ("width", "levels", "alternations", "steps", "smoothing_steps", "rigid_steps", "radius"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                raise MethodError(f"{name} must be a whole number from 1, not {value!r}")
-        for name in ("intensity_weight", "depth_weight", "alpha", "kappa", "arm"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < 1e6:
-                raise MethodError(f"{name} must be a positive number, not {value!r}")
+        super().__post_init__()
         find_device(self.device)
 
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`."""
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`."""
         start = time.perf_counter()
-        check_pair(prev, curr)
+        prev, curr = pair.prev.frame, pair.curr.frame
         solution = self.solve(prev, curr)
-        points = (
-            torch.from_numpy(geometry.back_project(curr.depth, curr.camera)).to(solution.twist).movedim(-1, 0)[None]
-        )
+        points = torch.from_numpy(pair.curr.points).to(solution.twist).movedim(-1, 0)[None]
         twist = functional.interpolate(solution.twist, points.shape[2:], mode="bilinear")
         arm = points * CENTIMETRES - solution.pivot
         rigid = solution.motion.to(arm.dtype)
@@ -135,17 +123,17 @@ class SRFlow:
         )
 
     def solve(self, prev: RgbdFrame, curr: RgbdFrame) -> Solution:
-        """Twists of `curr`'s pixels at the method's own resolution, and how the energy fell."""
+        """Compute the twists of `curr`'s pixels at the working resolution."""
         width = min(self.width, curr.camera.width)
         height = max(1, round(curr.camera.height * width / curr.camera.width))
         prev, curr = prev.resized(width, height), curr.resized(width, height)
         device = find_device(self.device)
         intrinsics = torch_pinhole.intrinsics(curr.camera)[None].to(device)
-        return self.solve_tensors(_tensors(curr, device), _tensors(prev, device), intrinsics)
+        return self.solve_tensors(frame_tensors(curr, device), frame_tensors(prev, device), intrinsics)
 
     @torch.no_grad()
     def solve_tensors(self, curr: tuple[Tensor, Tensor], prev: tuple[Tensor, Tensor], intrinsics: Tensor) -> Solution:
-        """The method itself, batched: colour (B, 3, H, W) in 0..1, depth (B, 1, H, W) in metres, intrinsics (B, 4)."""
+        """Solve a batch: colour (B, 3, H, W) in 0..1, depth (B, 1, H, W) in metres, intrinsics (B, 4) in pixels."""
         levels = build_pyramid(curr, prev, intrinsics, self.levels)
         batch, kind = len(intrinsics), levels[0].points
         motion = torch.eye(4, dtype=torch.float64, device=kind.device).repeat(batch, 1, 1)
@@ -184,13 +172,14 @@ class SRFlow:
         )
 
 
-def _tensors(frame: RgbdFrame, device: torch.device) -> tuple[Tensor, Tensor]:
+def frame_tensors(frame: RgbdFrame, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Colour (1, 3, H, W) in 0..1 and depth (1, 1, H, W) in metres of a frame."""
     color = torch.from_numpy(frame.color).to(device).movedim(-1, 0)[None].float() / 255
     return color, torch.from_numpy(frame.depth).to(device)[None, None]
 
 
 def _camera_motion(solution: Solution) -> Float64Array:
-    """(4, 4) `prev_T_curr` in metres, about the camera's centre."""
+    """(4, 4) `prev_T_curr` in metres, in the camera frame."""
     motion = solution.motion[0].cpu().numpy().copy()
     pivot = solution.pivot[0, :, 0, 0].cpu().numpy().astype(np.float64)
     motion[:3, 3] = (motion[:3, 3] + pivot - motion[:3, :3] @ pivot) / CENTIMETRES

@@ -1,9 +1,9 @@
-"""The rigid step of SR-Flow: one motion of the whole scene, as a camera that moves makes it.
+"""The rigid step of SR-Flow: one motion of the whole scene, as caused by a moving camera.
 
     min over G of sum_x cost(G P(x))
 
-by Gauss-Newton with the weights of `residuals`, which leave out what moves by itself. Damped, and kept only where the
-cost falls.
+by damped Gauss-Newton with the weights of `residuals`, which exclude independently moving objects as outliers. Steps
+are accepted only where the cost decreases.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from objectflow.methods.baselines.sr_flow.pyramid import Level
 from objectflow.methods.baselines.sr_flow.residuals import Weights, compute_residuals
 
 CONVERGED = 1e-5
-"""Centimetres, and radians at an arm of a metre: far below what either image can tell."""
+"""Step size at convergence, cm, with rotations at a lever arm of 1 m; well below the measurement accuracy."""
 
 
 def solve_rigid(level: Level, start: Tensor, iterations: int, weights: Weights) -> tuple[Tensor, list[Tensor]]:
-    """Refine the motion of everything.
+    """Refine the motion of the whole scene.
 
     Args:
         level: both frames.
-        start: G, (B, 4, 4) float64, of arms from the pivot, in cm.
-        iterations: at most.
+        start: G, (B, 4, 4) float64, of points relative to the pivot, cm.
+        iterations: maximum number.
         weights: of the data terms.
 
     Returns:
@@ -38,7 +38,7 @@ def solve_rigid(level: Level, start: Tensor, iterations: int, weights: Weights) 
     costs = [cost]
     for _ in range(iterations):
         diagonal = torch.diagonal(A, dim1=1, dim2=2)
-        # The constant is for scenes that leave a direction free, such as a bare plane.
+        # The constant regularises scenes with an unconstrained direction, such as a single plane.
         system = A + torch.diag_embed(damping[:, None] * diagonal + 1e-9)
         step = -torch.linalg.solve(system, b)
         trial = torch_se3.se3_exp(step) @ motion
@@ -57,23 +57,23 @@ def solve_rigid(level: Level, start: Tensor, iterations: int, weights: Weights) 
 
 
 def apply_rigid(level: Level, motion: Tensor) -> Tensor:
-    """The level's points (B, 3, H, W) after a motion (B, 4, 4) of arms from the pivot."""
+    """Move the level's points (B, 3, H, W) by a motion (B, 4, 4) relative to the pivot."""
     arm = level.points - level.pivot
-    turn = (motion[:, :3, :3] - torch.eye(3, dtype=motion.dtype, device=motion.device)).to(arm.dtype)
+    rotation = (motion[:, :3, :3] - torch.eye(3, dtype=motion.dtype, device=motion.device)).to(arm.dtype)
     shift = motion[:, :3, 3].to(arm.dtype)
-    return level.points + twists.displace(turn[..., None, None], shift[..., None, None], arm)
+    return level.points + twists.displace(rotation[..., None, None], shift[..., None, None], arm)
 
 
 def _linearise(level: Level, motion: Tensor, weights: Weights) -> tuple[Tensor, Tensor, Tensor]:
     """Cost (B,), and the normal equations (B, 6, 6) and (B, 6) of a small twist after the motion, float64."""
     arm = apply_rigid(level, motion) - level.pivot
-    found = compute_residuals(level, arm + level.pivot, level.gray, level.valid, weights)
+    residuals = compute_residuals(level, arm + level.pivot, level.gray, level.valid, weights)
     batch = len(arm)
     A = arm.new_zeros(batch, 6, 6, dtype=torch.float64)
     b = arm.new_zeros(batch, 6, dtype=torch.float64)
-    for residual, gradient, weight in found.terms:
+    for residual, gradient, weight in residuals.terms:
         J = twists.jacobian(gradient, arm).flatten(2).double()
         weighted = J * weight.flatten(1)[:, None].double()
         A += weighted @ J.mT
         b += (weighted @ residual.flatten(1)[..., None].double())[..., 0]
-    return found.cost.double().sum((1, 2)), A, b
+    return residuals.cost.double().sum((1, 2)), A, b

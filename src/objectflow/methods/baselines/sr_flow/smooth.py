@@ -1,10 +1,10 @@
-"""The smoothness of SR-Flow: total variation of the twist field, by the Rudin-Osher-Fatemi model.
+"""The smoothness term of SR-Flow: total variation of the twist field, by the Rudin-Osher-Fatemi model.
 
     min over u of |u - f|^2 / 2 + eta TV(u)        (equation 16 of the paper)
 
-solved on its dual by projected gradient steps with momentum (Chambolle 2004; Beck and Teboulle 2009). Channel by
-channel, each channel's gradient is bounded by itself; vectorial, the gradients of all channels are bounded together
-(Bresson and Chan 2008), which makes the three components of a rotation jump in the same places.
+solved in the dual by projected gradient steps with momentum (Chambolle 2004; Beck and Teboulle 2009). The dual is
+projected per channel or, in the vectorial form, jointly for all channels (Bresson and Chan 2008), which makes the
+three components of a rotation change at the same pixels.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ import torch
 from torch import Tensor
 
 STEP = 0.125
-"""1 / 8: the squared norm of the discrete gradient is at most 8."""
+"""Step size, 1 / 8, since the squared norm of the discrete gradient is at most 8."""
 
 
 def total_variation(field: Tensor, *, vectorial: bool) -> Tensor:
-    """(B, C, H, W) -> (B,): the sum of gradient lengths, of each channel or of all together."""
+    """(B, C, H, W) -> (B,): sum of gradient norms, per channel or (if `vectorial`) jointly over the channels."""
     squares = _gradient(field).square().sum(1)
     return (squares.sum(1, keepdim=True) if vectorial else squares).sqrt().sum((1, 2, 3))
 
@@ -27,30 +27,30 @@ def total_variation(field: Tensor, *, vectorial: bool) -> Tensor:
 def smooth(
     field: Tensor, eta: float, iterations: int, *, vectorial: bool, dual: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """The minimiser above, as far as the iterations go, and its dual variable.
+    """Approximate the minimiser by a number of iterations; returns it and its dual variable.
 
     Args:
         field: f, (B, C, H, W).
-        eta: in units of the field.
-        iterations: dual steps.
-        vectorial: bound the gradients of all channels together.
-        dual: (B, 2, C, H, W), where to start: what the last call for a field like this one returned.
+        eta: weight of the total variation, in units of the field.
+        iterations: number of dual steps.
+        vectorial: joint total variation of all channels.
+        dual: (B, 2, C, H, W) initial dual variable, as returned for a similar field.
     """
     dual = field.new_zeros(len(field), 2, *field.shape[1:]) if dual is None else dual.clone()
-    ahead, stepped, primal, lengths = dual.clone(), torch.empty_like(dual), torch.empty_like(field), None
+    extrapolated, new_dual, primal, norms = dual.clone(), torch.empty_like(dual), torch.empty_like(field), None
     momentum = 1.0
     for _ in range(iterations):
-        _primal(field, ahead, eta, out=primal)
-        stepped.copy_(ahead)
-        _add_gradient(primal, STEP / eta, out=stepped)
-        shrink = torch.mul(stepped[:, 0], stepped[:, 0], out=lengths)
-        lengths = shrink.addcmul_(stepped[:, 1], stepped[:, 1])
+        _primal(field, extrapolated, eta, out=primal)
+        new_dual.copy_(extrapolated)
+        _add_gradient(primal, STEP / eta, out=new_dual)
+        norm = torch.mul(new_dual[:, 0], new_dual[:, 0], out=norms)
+        norms = norm.addcmul_(new_dual[:, 1], new_dual[:, 1])
         if vectorial:
-            shrink = shrink.sum(1, keepdim=True)
-        stepped *= shrink.rsqrt_().clamp_(max=1)[:, None]
-        following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
-        torch.lerp(dual, stepped, 1 + (momentum - 1) / following, out=ahead)
-        dual, stepped, momentum = stepped, dual, following
+            norm = norm.sum(1, keepdim=True)
+        new_dual *= norm.rsqrt_().clamp_(max=1)[:, None]
+        new_momentum = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        torch.lerp(dual, new_dual, 1 + (momentum - 1) / new_momentum, out=extrapolated)
+        dual, new_dual, momentum = new_dual, dual, new_momentum
     return _primal(field, dual, eta, out=primal), dual
 
 
@@ -67,7 +67,7 @@ def _add_gradient(field: Tensor, factor: float, *, out: Tensor) -> None:
 
 
 def _primal(field: Tensor, dual: Tensor, eta: float, *, out: Tensor) -> Tensor:
-    """What a dual says the minimiser is: f + eta div p, where the divergence is minus the adjoint of `_gradient`."""
+    """The primal variable of a dual: f + eta div p, where div is the negative adjoint of `_gradient`."""
     out.copy_(field)
     along_u, along_v = dual[:, 0, ..., :-1], dual[:, 1, ..., :-1, :]
     out[..., :-1].add_(along_u, alpha=eta)

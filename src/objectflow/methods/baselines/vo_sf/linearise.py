@@ -1,4 +1,4 @@
-"""The two constraints of a pixel, on brightness and on depth, linear in a twist."""
+"""The brightness and depth constraints of a pixel, linearised in a twist."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from objectflow.methods.baselines.vo_sf.pyramid import Level, make_level
 from objectflow.typing import BoolMask, Float32Array
 
 PHOTOMETRIC_WEIGHT = np.float32(0.15)
-"""Weight of brightness (0..1) against metres of depth."""
+"""Weight of brightness (0..1) relative to depth in metres."""
 _STEP_FLOOR = {"gray": np.float32(1e-6), "depth": np.float32(0.005)}
-"""Added to the differences that weight a derivative's two sides."""
+"""Added to the differences that weight the two sides of a derivative."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Derivatives of a level along u, v (a pixel) and time, each (H, W) float32, of gray and of depth.
+    """Derivatives of gray and depth along u and v (per pixel) and in time.
 
     Attributes:
-        gray, depth: each (3, H, W): along u, along v, second frame minus first.
-        middle: the level half way between the two frames, where the derivatives are taken.
-        usable: (H, W) bool: both frames have depth, and not on the image border.
+        gray, depth: each (3, H, W) float32: along u, along v, second frame minus first.
+        middle: mean of the two frames, at which the derivatives are taken.
+        usable: (H, W) bool: both frames have depth, and the pixel is not on the image border.
     """
 
     gray: Float32Array
@@ -32,10 +32,10 @@ class Gradients:
 
 
 def gradients(first: Level, warped: Level) -> Gradients:
-    """Derivatives between the first frame and the second as warped onto it.
+    """Compute the derivatives between the first frame and the warped second frame.
 
-    A derivative is the mean of the differences to both sides, each weighted by the size of the other, so that a
-    pixel beside an edge takes the slope of its own side.
+    A spatial derivative is the mean of the differences to both sides, each weighted by the size of the other, so that
+    pixels beside an edge take the slope of their own side.
     """
     both = (first.depth > 0) & (warped.depth > 0)
     depth = np.where(both, (first.depth + warped.depth) / 2, 0).astype(np.float32)
@@ -53,17 +53,17 @@ def gradients(first: Level, warped: Level) -> Gradients:
 def constraints(
     level: Gradients, gray_weight: Float32Array, depth_weight: Float32Array
 ) -> tuple[Float32Array, Float32Array]:
-    """Rows J and values r of every pixel, to solve `J twist = r` for the motion that takes second to first.
+    """Rows J and values r of every pixel of the system `J twist = r` for the motion from second to first frame.
 
-    A point that moves by d = v + w x P changes brightness by -grad I . (its pixel's motion), and depth by d_z less
-    the same product: both are a . d with a vector a, hence J = [a, P x a].
+    A displacement d = v + w x P changes brightness by -grad I . (the pixel's displacement), and depth by d_z minus
+    the corresponding product with grad Z. Both have the form a . d, hence J = [a, P x a].
 
     Args:
         level: the derivatives.
-        gray_weight, depth_weight: (H, W) weights of the two rows; that of colour is without PHOTOMETRIC_WEIGHT.
+        gray_weight, depth_weight: (H, W) weights of the two rows, brightness without PHOTOMETRIC_WEIGHT.
 
     Returns:
-        J (H, W, 2, 6) and r (H, W, 2) float32, colour first; the twist is [translation, rotation].
+        J (H, W, 2, 6) and r (H, W, 2) float32, brightness first; the twist is [translation, rotation].
     """
     X, Y, Z = np.moveaxis(level.middle.points, -1, 0)
     camera = level.middle.camera
@@ -82,16 +82,16 @@ def constraints(
     return J, r
 
 
-def uncertainty_weights(level: Gradients, trust: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """(H, W) weights of colour and depth: low where derivatives are large and linearisation bad.
+def uncertainty_weights(level: Gradients, confidence: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """(H, W) weights of brightness and depth, low where derivatives are large and the linearisation is inaccurate.
 
     Args:
         level: the derivatives.
-        trust: (H, W) factor of both, less than 1 where a static cluster may yet be moving.
+        confidence: (H, W) factor of both weights, less than 1 where a static cluster may be moving.
     """
     out = []
     for slope, noise, gain in ((level.gray, 1.0, 10.0), (level.depth, 0.01, 200.0)):
-        weight = np.sqrt(trust / (np.float32(noise) + np.float32(gain) * (slope**2).sum(0)))
+        weight = np.sqrt(confidence / (np.float32(noise) + np.float32(gain) * (slope**2).sum(0)))
         weight = np.where(level.usable, weight, np.float32(0))
         out.append(weight / max(float(weight.max()), 1e-12))
     return out[0].astype(np.float32), out[1].astype(np.float32)
@@ -103,7 +103,7 @@ def _slopes(image: Float32Array, both: BoolMask, kind: str) -> tuple[Float32Arra
 
 def _slope_along_rows(image: Float32Array, both: BoolMask, kind: str) -> Float32Array:
     step = np.diff(image, axis=1)
-    # Where a pixel has no depth, the difference to its right counts as one.
+    # The size of the difference to the right of a pixel without depth is set to 1.
     size = np.where(both[:, :-1], np.abs(step) + _STEP_FLOOR[kind], np.float32(1))
     left, right = size[:, :-1], size[:, 1:]
     slope = np.empty_like(image)

@@ -1,4 +1,4 @@
-"""The image pyramid: gray, depth and points at five resolutions, halved without mixing surfaces."""
+"""The image pyramid: gray, depth and points at five resolutions, downsampled without mixing surfaces."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from objectflow import geometry
-from objectflow.alignment import matching
+from objectflow.alignment.appearance import to_gray
 from objectflow.errors import FrameError
 from objectflow.frame import MAX_MEDIAN_DEPTH, MIN_MEDIAN_DEPTH, RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.typing import Float32Array
 
 WIDTH, HEIGHT, LEVELS = 320, 240, 5
-"""Pixels of the finest level, and the number of levels: 15x20 at the coarsest."""
+"""Size of the finest level in pixels, and number of levels; the coarsest level is 15x20."""
 
-_MASK = np.outer([1, 2, 2, 1], [1, 2, 2, 1]).astype(np.float32) / np.float32(36)
+_KERNEL = np.outer([1, 2, 2, 1], [1, 2, 2, 1]).astype(np.float32) / np.float32(36)
 _SURFACE = np.float32(0.1)
-"""Metres: depth further than this from the block's own does not count."""
+"""Largest difference to the block's reference depth at which a pixel has a weight, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,26 +42,26 @@ class Level:
 
 
 def make_level(gray: Float32Array, depth: Float32Array, camera: Camera) -> Level:
-    """Back-project a level's depth; its pixels without depth get the point 0."""
+    """Back-project a level's depth; pixels without depth get the point 0."""
     rays = geometry.pixel_grid(camera)
     points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=-1)
     return Level(gray, points, camera)
 
 
 def build_pyramid(frame: RgbdFrame) -> list[Level]:
-    """The levels of a frame, finest (240x320) first.
+    """Build the levels of a frame, finest (240x320) first.
 
     Raises:
-        FrameError: at this resolution no pixel with a sensible depth is left.
+        FrameError: no pixel has a plausible depth at this resolution.
     """
     frame = frame.resized(WIDTH, HEIGHT)
-    gray = matching.gray(frame.color).astype(np.float32) / np.float32(255)
-    sensible = (frame.depth >= MIN_MEDIAN_DEPTH) & (frame.depth <= MAX_MEDIAN_DEPTH)
-    if not sensible.any():
+    gray = to_gray(frame.color).astype(np.float32) / np.float32(255)
+    plausible = (frame.depth >= MIN_MEDIAN_DEPTH) & (frame.depth <= MAX_MEDIAN_DEPTH)
+    if not plausible.any():
         raise FrameError(
             f"{frame.name}: no depth from 5 mm to 50 m is left at {WIDTH}x{HEIGHT}: check the depth image"
         )
-    depth, camera = np.where(sensible, frame.depth, np.float32(0)), frame.camera
+    depth, camera = np.where(plausible, frame.depth, np.float32(0)), frame.camera
     levels = [make_level(gray, depth, camera)]
     for _ in range(LEVELS - 1):
         gray, depth = _halve(gray, depth)
@@ -71,10 +71,10 @@ def build_pyramid(frame: RgbdFrame) -> list[Level]:
 
 
 def _halve(gray: Float32Array, depth: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Halve both images: a 4x4 binomial-like mask, its weights falling with the distance in depth.
+    """Halve both images with a 4x4 binomial-like kernel whose weights decrease with the difference in depth.
 
-    A block's own depth is the second largest of its central four, so that one stray value cannot set it. On the image
-    border, and for gray where the block has no depth, plain means are taken.
+    A block's reference depth is the second largest of its central four, which is robust to a single outlier. Plain
+    means are used on the image border and, for gray, in blocks without depth.
     """
     rows, columns = depth.shape[0] // 2, depth.shape[1] // 2
     padded_gray, padded_depth = np.pad(gray, 1), np.pad(depth, 1)
@@ -83,20 +83,22 @@ def _halve(gray: Float32Array, depth: Float32Array) -> tuple[Float32Array, Float
         return image[row : row + 2 * rows : 2, column : column + 2 * columns : 2]
 
     a, b, c, d = (shifted(padded_depth, i, j) for i in (1, 2) for j in (1, 2))
-    own = np.maximum(np.minimum(np.maximum(a, b), np.maximum(c, d)), np.maximum(np.minimum(a, b), np.minimum(c, d)))
+    reference = np.maximum(
+        np.minimum(np.maximum(a, b), np.maximum(c, d)), np.maximum(np.minimum(a, b), np.minimum(c, d))
+    )
     total, gray_sum, depth_sum, plain = (np.zeros((rows, columns), np.float32) for _ in range(4))
     for i in range(4):
         for j in range(4):
-            near, brightness = shifted(padded_depth, i, j), shifted(padded_gray, i, j)
-            weight = _MASK[i, j] * np.maximum(_SURFACE - np.abs(near - own), 0) * (near > 0)
+            z, brightness = shifted(padded_depth, i, j), shifted(padded_gray, i, j)
+            weight = _KERNEL[i, j] * np.maximum(_SURFACE - np.abs(z - reference), 0) * (z > 0)
             total += weight
-            depth_sum += weight * near
+            depth_sum += weight * z
             gray_sum += weight * brightness
-            plain += _MASK[i, j] * brightness
-    some = (own > 0) & (total > 0)
-    safe = np.where(some, total, 1)
-    half_depth = np.where(some, depth_sum / safe, 0)
-    half_gray = np.where(some, gray_sum / safe, plain)
+            plain += _KERNEL[i, j] * brightness
+    known = (reference > 0) & (total > 0)
+    divisor = np.where(known, total, 1)
+    half_depth = np.where(known, depth_sum / divisor, 0)
+    half_gray = np.where(known, gray_sum / divisor, plain)
 
     four = np.stack([a, b, c, d])
     count = (four > 0).sum(0)

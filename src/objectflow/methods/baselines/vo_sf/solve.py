@@ -1,4 +1,4 @@
-"""Twists by iteratively reweighted least squares with the Cauchy penalty."""
+"""Twists by iteratively reweighted least squares with the Cauchy loss."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from objectflow.typing import Float32Array, Float64Array
 
 _ITERATIONS = 10
 _CHI2_RATIO = 0.98
-"""Stop when the weighted sum of squares falls by less than 2 %."""
-_STEP = 1e-6
-"""Stop when no number of the twist (m, rad) changes by more."""
-_FEWEST = 6
-"""Pixels: fewer say nothing about a motion."""
+"""Iterations stop when the weighted sum of squares decreases by less than 2%."""
+_MIN_STEP = 1e-6
+"""Iterations stop when the twist (m, rad) changes by less."""
+_MIN_PIXELS = 6
+"""Minimum number of pixels for an estimate."""
 
 
 def solve_twist(
-    J: Float32Array, r: Float32Array, repeats: Float32Array | None, cauchy: float, *, plain_start: bool
+    J: Float32Array, r: Float32Array, repeats: Float32Array | None, cauchy: float, *, least_squares_start: bool
 ) -> Float64Array:
-    """The twist (6,) that minimises the Cauchy penalty of `J twist - r`.
+    """Minimise the Cauchy loss of `J twist - r`.
 
     Args:
-        J: (N, 2, 6) rows, weighted.
+        J: (N, 2, 6) weighted rows.
         r: (N, 2).
-        repeats: (N,) how often each pixel counts; None is once.
-        cauchy: weights are 1 / (1 + k e^2) of residuals e with k = cauchy / mean(|e|)^2, found anew each time.
-        plain_start: begin with the least-squares solution instead of no motion.
+        repeats: (N,) multiplicity of each pixel, or None for 1.
+        cauchy: the weight of a residual e is 1 / (1 + k e^2) with k = cauchy / mean(|e|)^2, updated per iteration.
+        least_squares_start: start from the least-squares solution instead of 0.
 
     Returns:
-        (6,) float64 [translation, rotation], metres and radians; 0 where there are too few pixels.
+        (6,) float64 [translation, rotation], metres and radians; 0 if there are too few pixels.
     """
-    if len(J) < _FEWEST:
+    if len(J) < _MIN_PIXELS:
         return np.zeros(6)
     A, b = J.reshape(-1, 6), r.reshape(-1)
     times: Float32Array = np.ones(len(b), np.float32) if repeats is None else np.repeat(repeats, 2).astype(np.float32)
-    twist = _least_squares(A, b, times) if plain_start else np.zeros(6)
+    twist = _least_squares(A, b, times) if least_squares_start else np.zeros(6)
     last = np.inf
     for _ in range(_ITERATIONS):
         error = A @ twist.astype(np.float32) - b
@@ -43,14 +43,14 @@ def solve_twist(
         chi2 = float((weights * times) @ error**2)
         new = _least_squares(A, b, weights * times)
         step, twist = np.abs(new - twist).max(), new
-        if chi2 > _CHI2_RATIO * last or step < _STEP:
+        if chi2 > _CHI2_RATIO * last or step < _MIN_STEP:
             break
         last = max(chi2, 1e-10)
     return twist
 
 
 def _least_squares(A: Float32Array, b: Float32Array, weights: Float32Array) -> Float64Array:
-    # By the normal equations, as 6x6 is quick; the pseudo-inverse leaves undetermined directions at rest.
+    # The pseudo-inverse of the 6x6 normal equations leaves unconstrained directions at 0.
     weighted = A * weights[:, None]
     normal, right = (weighted.T @ A).astype(np.float64), (weighted.T @ b).astype(np.float64)
     return np.asarray(np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right)

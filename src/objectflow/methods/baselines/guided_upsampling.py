@@ -1,4 +1,4 @@
-"""From the size that a baseline works at to the pixels of its input, without carrying flow across depth edges."""
+"""Depth-guided upsampling from a baseline's working size to its input size, without mixing surfaces."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from scipy import ndimage
 from objectflow.typing import Float32Array
 
 _SURFACE = 0.02
-"""Of the depth: a neighbour this much nearer or further counts a third (1/e)."""
+"""Relative depth difference at which a neighbour's weight is 1/e."""
 
 
 def upsample_guided(values: Float32Array, small_depth: Float32Array, large_depth: Float32Array) -> Float32Array:
-    """Interpolate maps to another size, between neighbours that lie on the pixel's own surface.
+    """Interpolate maps to another size between neighbours on the same surface.
 
     Args:
         values: (h, w, C), known where `small_depth` is.
         small_depth: (h, w) metres, 0 = missing.
-        large_depth: (H, W) metres, 0 = missing; may be smaller, too.
+        large_depth: (H, W) metres, 0 = missing; it may also be smaller.
 
     Returns:
-        (H, W, C) float32. Where none of the four neighbours is on the surface, the nearest known value; 0 where
-        nothing is known at all. What it is at missing pixels means nothing.
+        (H, W, C) float32. Pixels without a neighbour on their surface take the nearest known value, or 0 if there is
+        none. Values at pixels without depth are undefined.
     """
     known = small_depth > 0
     if not known.any():
@@ -35,10 +35,9 @@ def upsample_guided(values: Float32Array, small_depth: Float32Array, large_depth
     for down in (0, 1):
         for right in (0, 1):
             row, column = np.minimum(v0 + down, height - 1), np.minimum(u0 + right, width - 1)
-            share = (v - v0 if down else 1 - (v - v0)) * (u - u0 if right else 1 - (u - u0))
-            near = small_depth[row, column]
-            off = np.abs(near - large_depth) / (_SURFACE * np.maximum(large_depth, 1e-6))
-            weight = (share * known[row, column] * np.exp(-np.minimum(off, 50))).astype(np.float32)
+            bilinear = (v - v0 if down else 1 - (v - v0)) * (u - u0 if right else 1 - (u - u0))
+            distance = np.abs(small_depth[row, column] - large_depth) / (_SURFACE * np.maximum(large_depth, 1e-6))
+            weight = (bilinear * known[row, column] * np.exp(-np.minimum(distance, 50))).astype(np.float32)
             total += weight
             out += weight[..., None] * values[row, column]
     row, column = np.rint(v).astype(int), np.rint(u).astype(int)
