@@ -1,7 +1,7 @@
 """Analytic scenes: textured boxes, spheres and cylinders on a plane, ray-cast with known motion.
 
-Shares no code with the package but the frames' classes: what it says about flow, visibility and motion is independent.
-World frame: z up, the plane at z = 0. Rays are `t * (x, y, 1)` in a camera frame, so that `t` is the planar depth.
+Uses only the frame classes of the package, so flow, visibility and motions are an independent reference. World frame:
+z up, plane at z = 0. Rays are `t * (x, y, 1)` in a camera frame, so `t` is the planar depth.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True, eq=False)
 class AnalyticPair:
-    """Two frames of one scene and everything that is true about them.
+    """Two frames of one scene with their ground truth.
 
     Attributes:
         prev, curr: the frames.
-        labels, prev_labels: (H, W) int32 on each frame's own pixels; 0 = plane, k = k-th object.
-        prev_T_curr: label -> (4, 4), camera frame of curr to camera frame of prev; still objects too.
-        scene_flow: (H, W, 3) float32, exact `P_prev - P_curr` of curr's pixels, from depth without noise.
-        visible: (H, W) bool: curr's point is inside prev's image and nothing stands before it there.
+        labels, prev_labels: (H, W) int32 labels of curr and prev; 0 = plane, k = k-th object.
+        prev_T_curr: label -> (4, 4), camera frame of curr to camera frame of prev, also for static objects.
+        scene_flow: (H, W, 3) float32, exact `P_prev - P_curr` on curr's pixels, from noise-free depth.
+        visible: (H, W) bool: whether curr's point is visible in prev.
         moving: labels of the objects that moved in the world.
         centers: label -> (3,) centre in curr's camera frame, metres.
-        camera_motion: (4, 4) `prev_T_curr` of the still world; identity for a still camera.
+        camera_motion: (4, 4) `prev_T_curr` of the static world; identity for a static camera.
         kinds: label -> "box", "sphere" or "cylinder".
     """
 
@@ -50,7 +50,7 @@ class AnalyticPair:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Solids with their poses at one moment, the plane, the light and the camera."""
+    """Solids with their poses at one time, the plane, the light and the camera."""
 
     solids: list[Solid]
     world_T_object: list[Float64Array]
@@ -59,47 +59,47 @@ class World:
     light: Float64Array  # (3,) unit, world frame, towards the light
 
     def cast(self, rays: Float64Array) -> tuple[Float64Array, LabelImage, Float64Array]:
-        """Camera rays (N, 3) with z = 1 -> planar depth (N,) (inf: nothing), labels, normals in the world frame."""
+        """Camera rays (N, 3) with z = 1 -> planar depth (N,) (inf: no hit), labels, normals in the world frame."""
         world_R, eye = self.world_T_camera[:3, :3], self.world_T_camera[:3, 3]
-        fall = rays @ world_R[2]
+        vertical = rays @ world_R[2]
         with np.errstate(divide="ignore"):
-            depth = np.where(fall < 0, -eye[2] / fall, np.inf)
+            depth = np.where(vertical < 0, -eye[2] / vertical, np.inf)
         labels = np.zeros(len(rays), dtype=np.int32)
         normals = np.tile(np.array([0.0, 0, 1]), (len(rays), 1))
         length2 = (rays**2).sum(1)
         for label, (solid, world_T_object) in enumerate(zip(self.solids, self.world_T_object, strict=True), start=1):
             object_T_camera = np.linalg.inv(world_T_object) @ self.world_T_camera
             center = np.linalg.inv(object_T_camera)[:3, 3]
-            # Rays that pass the bounding sphere by need no look.
+            # Only rays that hit the bounding sphere are tested.
             near = np.flatnonzero(center @ center - (rays @ center) ** 2 / length2 < solid.radius**2)
             t, normal = solid.hit(object_T_camera[:3, 3], rays[near] @ object_T_camera[:3, :3].T)
-            first = t < depth[near]
-            chosen = near[first]
-            depth[chosen], labels[chosen] = t[first], label
-            normals[chosen] = normal[first] @ world_T_object[:3, :3].T
+            nearest = t < depth[near]
+            hit = near[nearest]
+            depth[hit], labels[hit] = t[nearest], label
+            normals[hit] = normal[nearest] @ world_T_object[:3, :3].T
         return depth, labels, normals
 
     def shade(self, rays: Float64Array) -> Float64Array:
-        """Colours (N, 3) in 0..255 that camera rays see: Lambert with ambient light, no shadows."""
+        """Colours (N, 3) in 0..255 of camera rays: Lambertian with ambient light, without shadows."""
         depth, labels, normals = self.cast(rays)
         rgb = np.full((len(rays), 3), 90.0)
         hit = np.isfinite(depth)
         points = (rays * np.where(hit, depth, 0)[:, None]) @ self.world_T_camera[:3, :3].T + self.world_T_camera[:3, 3]
         for label in np.unique(labels[hit]):
-            here = np.flatnonzero(hit & (labels == label))
+            index = np.flatnonzero(hit & (labels == label))
             if label == 0:
-                rgb[here] = self.plane.at(points[here])
-                # Far off a pixel covers many texels: fade to their mean, as a lens would.
-                fade = np.clip((depth[here] - 1.0) / 1.5, 0, 1)[:, None]
-                rgb[here] = rgb[here] * (1 - fade) + self.plane.colors[:2].mean(0) * fade
+                rgb[index] = self.plane.at(points[index])
+                # Distant pixels cover many texels, so their colour fades to the mean to avoid aliasing.
+                fade = np.clip((depth[index] - 1.0) / 1.5, 0, 1)[:, None]
+                rgb[index] = rgb[index] * (1 - fade) + self.plane.colors[:2].mean(0) * fade
             else:
                 R, t = self.world_T_object[label - 1][:3, :3], self.world_T_object[label - 1][:3, 3]
-                rgb[here] = self.solids[label - 1].texture.at((points[here] - t) @ R)
+                rgb[index] = self.solids[label - 1].texture.at((points[index] - t) @ R)
         return np.asarray(rgb * (0.4 + 0.65 * np.clip(normals @ self.light, 0, 1))[:, None])
 
 
 def pixel_rays(camera: Camera, du: float = 0.0, dv: float = 0.0) -> Float64Array:
-    """(H * W, 3) rays with z = 1 through pixel centres moved by (du, dv) pixels."""
+    """(H * W, 3) rays with z = 1 through the pixel centres shifted by (du, dv) pixels."""
     u, v = np.meshgrid(np.arange(camera.width) + du, np.arange(camera.height) + dv)
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
@@ -117,21 +117,23 @@ def make_scene(
     depth_noise: float = 0.0,
     camera_motion: Float64Array | None = None,
 ) -> AnalyticPair:
-    """Draw and render a scene of a few objects that slide, turn or are lifted between two frames.
+    """Generate and render a scene of a few objects that slide, rotate or are lifted between two frames.
 
     Args:
-        seed: everything follows from it. The scene of a seed is one and the same at every resolution.
-        objects: least and greatest number of objects.
-        width, height: pixels; the focal length grows with the width, the field of view stays.
-        motion: least and greatest displacement of a moving object's centre, metres.
-        max_angle_deg: greatest turn of a moving object.
-        moving_share: part of the objects that move (rounded; at least one unless 0).
+        seed: determines the scene, which is the same at every resolution.
+        objects: minimum and maximum number of objects.
+        width, height: pixels; the focal length scales with the width.
+        motion: minimum and maximum displacement of a moving object's centre, metres.
+        max_angle_deg: maximum rotation of a moving object.
+        moving_share: share of the objects that move (rounded; at least one object unless 0).
         depth_noise: standard deviation of depth at 1 m in metres; grows with the square of depth.
-        camera_motion: (4, 4) `prev_T_curr` of the still world, for a camera that moved; None for a still one.
+        camera_motion: (4, 4) `prev_T_curr` of the static world for a moving camera; None for a static camera.
     """
     rng = np.random.default_rng(seed)
-    still = camera_motion is None
-    curr_T_prev_camera: Float64Array = np.eye(4) if still else np.linalg.inv(np.asarray(camera_motion, np.float64))
+    static_camera = camera_motion is None
+    curr_T_prev_camera: Float64Array = (
+        np.eye(4) if static_camera else np.linalg.inv(np.asarray(camera_motion, np.float64))
+    )
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     plane = draw_texture(rng, np.array([512, 512]), plane=True)
@@ -154,10 +156,10 @@ def make_scene(
     prev_T_curr: dict[int, Float64Array] = {}
     centers: dict[int, Float64Array] = {}
     camera_prev_T_world, camera_curr_T_world = np.linalg.inv(prev.world_T_camera), np.linalg.inv(curr.world_T_camera)
-    world_motion: Float64Array = np.eye(4) if still else np.asarray(camera_motion, dtype=np.float64)
+    world_motion: Float64Array = np.eye(4) if static_camera else np.asarray(camera_motion, dtype=np.float64)
     for label, (a, b) in enumerate(zip(prev.world_T_object, curr.world_T_object, strict=True), start=1):
-        turned = camera_prev_T_world @ a @ np.linalg.inv(b) @ curr.world_T_camera
-        prev_T_curr[label] = turned if label in moved else world_motion
+        object_motion = camera_prev_T_world @ a @ np.linalg.inv(b) @ curr.world_T_camera
+        prev_T_curr[label] = object_motion if label in moved else world_motion
         centers[label] = (camera_curr_T_world @ b)[:3, 3]
 
     rays = pixel_rays(camera)
@@ -166,9 +168,9 @@ def make_scene(
     flow = np.zeros_like(points)
     for label in range(count + 1):
         a_T_b = prev_T_curr[label] if label else world_motion
-        if label in moved or not still:
-            here = labels == label
-            flow[here] = points[here] @ (a_T_b[:3, :3] - np.eye(3)).T + a_T_b[:3, 3]
+        if label in moved or not static_camera:
+            mask = labels == label
+            flow[mask] = points[mask] @ (a_T_b[:3, :3] - np.eye(3)).T + a_T_b[:3, 3]
     flow[~hit] = np.nan
     shape = (height, width)
     return AnalyticPair(
@@ -189,20 +191,20 @@ def make_scene(
 def _render(
     world: World, camera: Camera, rng: Rng, depth_noise: float, name: str
 ) -> tuple[RgbdFrame, LabelImage, Float64Array]:
-    """The frame, and labels and exact depth (H * W,) of its pixel centres."""
+    """The frame, and labels and exact depth (H * W,) at its pixel centres."""
     depth, labels, _ = world.cast(pixel_rays(camera))
-    quarters = [world.shade(pixel_rays(camera, du, dv)) for du in (-0.25, 0.25) for dv in (-0.25, 0.25)]
-    color = np.clip(np.rint(sum(quarters[1:], quarters[0]) / 4), 0, 255).astype(np.uint8)
-    seen = np.where(np.isfinite(depth), depth, 0)
+    samples = [world.shade(pixel_rays(camera, du, dv)) for du in (-0.25, 0.25) for dv in (-0.25, 0.25)]
+    color = np.clip(np.rint(sum(samples[1:], samples[0]) / 4), 0, 255).astype(np.uint8)
+    z = np.where(np.isfinite(depth), depth, 0)
     noise = rng.standard_normal(len(depth)) * depth_noise
-    measured = np.where(seen > 0, np.maximum(seen + noise * seen**2, 1e-3), 0)
+    measured = np.where(z > 0, np.maximum(z + noise * z**2, 1e-3), 0)
     shape = (camera.height, camera.width)
     frame = RgbdFrame(color.reshape(*shape, 3), measured.reshape(shape).astype(np.float32), camera, name=name)
     return frame, labels, depth
 
 
 def _visible(world: World, camera: Camera, points: Float64Array) -> BoolMask:
-    """Whether points (N, 3) of the camera frame lie in the image with nothing before them, by casting rays at them."""
+    """Whether points (N, 3) of the camera frame lie in the image and are not occluded, by ray casting."""
     z = points[:, 2]
     ok = np.isfinite(z) & (np.nan_to_num(z) > 0)
     rays = points[ok] / z[ok, None]
@@ -225,7 +227,7 @@ def _draw_layout(
     plane: Texture,
     light: Float64Array,
 ) -> tuple[World, World, frozenset[int]]:
-    """Both moments of a scene whose objects are well seen and apart in each; drawn anew until they are."""
+    """The scene at both times, sampled until all objects are visible enough and apart from each other in both."""
     mover_count = min(count, max(1, round(moving_share * count))) if moving_share > 0 else 0
     coarse = Camera(80, 60, 236.46 / 4, 236.46 / 4, 39.5, 29.5)
     while True:
@@ -249,14 +251,14 @@ def _draw_layout(
             continue
         prev = World(solids, [p[0] for p in placed], world_T_curr_camera @ curr_T_prev_camera, plane, light)
         curr = World(solids, [p[1] for p in placed], world_T_curr_camera, plane, light)
-        # 15 coarse pixels are 240 of a 320x240 image.
+        # 15 pixels of the coarse image correspond to 240 pixels at 320x240.
         pixels = [np.bincount(w.cast(pixel_rays(coarse))[1], minlength=count + 1) for w in (prev, curr)]
         if min(p[1:].min() for p in pixels) >= 15:
             return prev, curr, moved
 
 
 def _draw_camera(rng: Rng) -> Float64Array:
-    """world_T_camera of a camera that looks down at the table's middle from 0.5-0.9 m."""
+    """world_T_camera of a camera that looks down at the table's centre from a distance of 0.5-0.9 m."""
     elevation, azimuth = np.radians(rng.uniform(35, 65)), rng.uniform(0, 2 * np.pi)
     target = np.array([rng.uniform(-0.03, 0.03), rng.uniform(-0.03, 0.03), 0.03])
     back = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
@@ -281,7 +283,7 @@ def _draw_solid(rng: Rng) -> Solid:
 
 
 def _draw_rest(rng: Rng, solid: Solid) -> Float64Array:
-    """A pose on the plane: a box on a face, a sphere any way, a cylinder upright or lying."""
+    """A pose on the plane: a box on a face, a sphere in any orientation, a cylinder upright or lying."""
     R = Rotation.from_euler("z", rng.uniform(0, 2 * np.pi)).as_matrix()
     if solid.kind == "sphere":
         R = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
@@ -297,20 +299,20 @@ def _draw_rest(rng: Rng, solid: Solid) -> Float64Array:
 def _move(
     rng: Rng, solid: Solid, pose: Float64Array, motion: tuple[float, float], max_angle_deg: float
 ) -> Float64Array:
-    """A slide on the plane with a turn about the vertical; one in four is lifted and turned about any axis."""
+    """The pose after a slide with a rotation about the vertical; one in four is lifted and rotated about any axis."""
     lifted = rng.random() < 0.25
-    free = lifted or solid.kind == "sphere"
-    axis = unit(rng.standard_normal(3)) if free else np.array([0.0, 0, 1])
-    turn = Rotation.from_rotvec(axis * np.radians(rng.uniform(-max_angle_deg, max_angle_deg))).as_matrix()
+    any_axis = lifted or solid.kind == "sphere"
+    axis = unit(rng.standard_normal(3)) if any_axis else np.array([0.0, 0, 1])
+    rotation = Rotation.from_rotvec(axis * np.radians(rng.uniform(-max_angle_deg, max_angle_deg))).as_matrix()
     heading, distance = rng.uniform(0, 2 * np.pi), rng.uniform(*motion)
     step = distance * np.array([np.cos(heading), np.sin(heading), 0])
     out = pose.copy()
-    out[:3, :3] = turn @ pose[:3, :3]
+    out[:3, :3] = rotation @ pose[:3, :3]
     if lifted:
-        # A tilted solid must clear the plane: go up by what that takes, and sideways by the rest of the distance.
-        clear = _reach(solid, out[:3, :3], np.array([[0.0, 0, -1]]))[0] - pose[2, 3]
-        rise = min(distance, max(clear, 0) + 0.5 * distance * rng.random())
-        if rise < clear:
+        # A tilted solid is raised enough to clear the plane, and moves sideways by the remaining distance.
+        clearance = _reach(solid, out[:3, :3], np.array([[0.0, 0, -1]]))[0] - pose[2, 3]
+        rise = min(distance, max(clearance, 0) + 0.5 * distance * rng.random())
+        if rise < clearance:
             out[:3, :3] = pose[:3, :3]
         step = np.sqrt(max(distance**2 - rise**2, 0)) * step / distance + np.array([0, 0, rise])
     out[:3, 3] = pose[:3, 3] + step
@@ -321,11 +323,11 @@ def _reach(solid: Solid, rotation: Float64Array, directions: Float64Array) -> Fl
     return solid.support(directions @ rotation)
 
 
-_AROUND = np.stack([np.cos(np.arange(72) * np.pi / 36), np.sin(np.arange(72) * np.pi / 36), np.zeros(72)], axis=1)
+_DIRECTIONS = np.stack([np.cos(np.arange(72) * np.pi / 36), np.sin(np.arange(72) * np.pi / 36), np.zeros(72)], axis=1)
 
 
 def _apart(a: Solid, world_T_a: Float64Array, b: Solid, world_T_b: Float64Array, gap: float = 0.004) -> bool:
-    """Whether a vertical plane with `gap` to spare lies between two solids (72 directions tried)."""
-    between = _AROUND @ (world_T_b[:3, 3] - world_T_a[:3, 3])
-    reach = _reach(a, world_T_a[:3, :3], _AROUND) + _reach(b, world_T_b[:3, :3], -_AROUND)
-    return bool((between - reach).max() > gap)
+    """Whether a vertical plane separates two solids by more than `gap` metres (72 directions are tested)."""
+    distance = _DIRECTIONS @ (world_T_b[:3, 3] - world_T_a[:3, 3])
+    reach = _reach(a, world_T_a[:3, :3], _DIRECTIONS) + _reach(b, world_T_b[:3, :3], -_DIRECTIONS)
+    return bool((distance - reach).max() > gap)

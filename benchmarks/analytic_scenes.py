@@ -1,7 +1,9 @@
-"""Methods on analytic scenes with known motion, beside `zero` and `dense-flow`: `benchmarks/analytic_scenes.py`.
+"""Methods on analytic scenes with known motion, compared with `zero` and `dense-flow`.
 
-The scenes are the tests': 1-6 textured boxes, spheres and cylinders on a textured plane, moved by 2-6 cm and turned by
-up to 30 degrees, ray-cast by code that shares nothing with the methods.
+    python benchmarks/analytic_scenes.py
+
+The scenes are those of the tests: 1-6 textured boxes, spheres and cylinders on a textured plane, moved by 2-6 cm and
+rotated by up to 30 degrees, ray-cast by code that is independent of the methods.
 """
 
 from __future__ import annotations
@@ -25,24 +27,24 @@ class Settings:
     """Scores methods on analytic scenes."""
 
     methods: tuple[str, ...] = ("consensus",)
-    """Methods by name; `zero` and `dense-flow` are always there."""
+    """Names of methods; `zero` and `dense-flow` are always included."""
     scenes: int = 60
-    """How many, from `first_seed` on."""
+    """Number of scenes."""
     first_seed: int = 0
     """Seed of the first scene."""
     depth_noise: float = 0.0
-    """Metres of Gaussian noise on depth."""
+    """Standard deviation of the depth noise at 1 m, metres."""
 
 
 @dataclasses.dataclass
 class Score:
-    """Sums over scenes of one method."""
+    """Sums over the scenes of one method."""
 
     epe: list[float] = dataclasses.field(default_factory=list)
     objects: int = 0
     extracted: int = 0
     surplus: int = 0
-    background_still: bool = True
+    background_static: bool = True
 
 
 def main(settings: Settings) -> None:
@@ -67,13 +69,13 @@ def main(settings: Settings) -> None:
             f"{epe / reference:.2f}",
             share,
             str(s.surplus),
-            "yes" if s.background_still else "no",
+            "yes" if s.background_static else "no",
         )
     Console(width=120).print(table)
 
 
 def add(score: Score, pair: analytic.AnalyticPair, motion: objectflow.SceneMotion) -> None:
-    """Add one scene: error on objects seen in both frames, and objects by the assignment that maximises summed F."""
+    """Add one scene: error on objects visible in both frames, and objects matched by maximum total F."""
     in_both = [label for label in pair.prev_T_curr if (pair.prev_labels == label).any()]
     mask = np.isin(pair.labels, in_both) & np.isfinite(pair.scene_flow[..., 2])
     score.epe.append(float(np.linalg.norm((motion.scene_flow - pair.scene_flow)[mask], axis=-1).mean()))
@@ -87,7 +89,7 @@ def add(score: Score, pair: analytic.AnalyticPair, motion: objectflow.SceneMotio
     score.extracted += int((f[rows, columns] >= 0.75).sum())
     score.surplus += len(found) - len(columns)
     background = (motion.labels == 0) & pair.curr.valid
-    score.background_still &= not motion.scene_flow[background].any()
+    score.background_static &= not motion.scene_flow[background].any()
 
 
 if __name__ == "__main__":

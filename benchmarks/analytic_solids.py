@@ -1,4 +1,4 @@
-"""The solids of analytic scenes: where rays meet them, and the textures that fill them. See `analytic`."""
+"""The solids of analytic scenes, with their ray intersections and solid textures. See `analytic`."""
 
 from __future__ import annotations
 
@@ -13,21 +13,29 @@ from objectflow.typing import Float64Array, IndexArray, Int64Array
 Rng = np.random.Generator
 
 TEXEL = 0.003
-"""Metres a cell of the noise: about one pixel of a 320-wide image at 0.7 m."""
+"""Size of a noise cell, metres: about one pixel of a 320-wide image at 0.7 m."""
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A texture that fills space: noise of several octaves between colours, crossed by stripes or a checker."""
+    """A solid texture: multi-octave noise between two colours, with stripes or a checker pattern.
 
-    noise: Float64Array  # (n, n, n) or (n, n), values 0..1, periodic
-    colors: Float64Array  # (3, 3) RGB 0..255: low noise, high noise, pattern
+    Attributes:
+        noise: (n, n, n) or (n, n), 0..1, periodic.
+        colors: (3, 3) RGB 0..255 of low noise, high noise and pattern.
+        pattern: "stripes", "checker" or "none".
+        period: of the pattern, metres.
+        direction: (3,) of the stripes.
+    """
+
+    noise: Float64Array
+    colors: Float64Array
     pattern: str
-    period: float  # metres
-    direction: Float64Array  # (3,) of the stripes
+    period: float
+    direction: Float64Array
 
     def at(self, points: Float64Array) -> Float64Array:
-        """RGB (N, 3) at points (N, 3) metres in the frame of what carries the texture."""
+        """RGB (N, 3) at points (N, 3) in metres, in the frame of the textured object."""
         axes = self.noise.ndim
         value = ndimage.map_coordinates(self.noise, points[:, :axes].T / TEXEL, order=1, mode="grid-wrap")[:, None]
         rgb = self.colors[0] * (1 - value) + self.colors[1] * value
@@ -43,7 +51,7 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A convex solid about its own origin; `size` = half extents, (r, r, r), or (r, r, half height)."""
+    """A convex solid about its origin; `size` holds half extents, (r, r, r), or (r, r, half height)."""
 
     kind: str
     size: Float64Array
@@ -51,13 +59,13 @@ class Solid:
 
     @property
     def radius(self) -> float:
-        """Of the bounding sphere."""
+        """Radius of the bounding sphere."""
         if self.kind == "box":
             return float(np.linalg.norm(self.size))
         return float(self.size[0] if self.kind == "sphere" else np.hypot(self.size[0], self.size[2]))
 
     def support(self, directions: Float64Array) -> Float64Array:
-        """(N,) furthest reach along unit directions (N, 3) of the object frame."""
+        """Support function (N,) along unit directions (N, 3) of the object frame."""
         if self.kind == "box":
             return np.asarray(np.abs(directions) @ self.size)
         if self.kind == "sphere":
@@ -66,7 +74,7 @@ class Solid:
         return np.asarray(flat * self.size[0] + np.abs(directions[:, 2]) * self.size[2])
 
     def hit(self, origin: Float64Array, rays: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """First hits of `origin + t * rays` (N, 3): t (N,), inf for none, and outward normals (N, 3)."""
+        """First hits of `origin + t * rays` (N, 3): t (N,), inf for no hit, and outward normals (N, 3)."""
         with np.errstate(divide="ignore", invalid="ignore"):
             if self.kind == "box":
                 near, far, axis = _slabs(origin, rays, self.size, range(3))
@@ -90,7 +98,7 @@ class Solid:
 def _slabs(
     origin: Float64Array, rays: Float64Array, size: Float64Array, axes: range
 ) -> tuple[Float64Array, Float64Array, IndexArray]:
-    """Entry, exit and entering axis of rays through the slabs `|p_axis| < size_axis`."""
+    """Entry, exit and entry axis of rays through the slabs `|p_axis| < size_axis`."""
     a, b = list(axes), rays[:, list(axes)]
     t0, t1 = (-size[a] - origin[a]) / b, (size[a] - origin[a]) / b
     nears = np.minimum(t0, t1)
@@ -99,14 +107,14 @@ def _slabs(
 
 
 def _quadric(origin: Float64Array, rays: Float64Array, radius: float) -> tuple[Float64Array, Float64Array]:
-    """Entry and exit of rays through a ball (3 columns) or an endless cylinder (2 columns)."""
+    """Entry and exit of rays through a ball (3 columns) or an infinite cylinder (2 columns)."""
     a, b = (rays**2).sum(1), rays @ origin
     root = np.sqrt(b * b - a * (origin @ origin - radius**2))
     return (-b - root) / a, (-b + root) / a
 
 
 def draw_texture(rng: Rng, cells: Int64Array, *, plane: bool = False) -> Texture:
-    """Noise of four octaves in steps of two, stretched to 0..1, between colours that differ in brightness."""
+    """Generate a texture of four octaves of noise, normalised to 0..1, between colours of different brightness."""
     noise = np.zeros(tuple(cells))
     for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
         coarse = rng.standard_normal(tuple(cells // octave))
@@ -116,7 +124,7 @@ def draw_texture(rng: Rng, cells: Int64Array, *, plane: bool = False) -> Texture
     dark, bright = rng.uniform(10, 80, 3), rng.uniform(120, 200, 3)
     bright[hue[0]] = rng.uniform(200, 255)
     bright[hue[1]] = rng.uniform(70, 150)
-    if plane:  # calmer and greyer than the objects, still readable
+    if plane:  # Less contrast and saturation than the objects.
         grey = rng.uniform(130, 200)
         bright, dark = grey + rng.uniform(-20, 20, 3), 0.4 * grey + rng.uniform(-15, 15, 3)
     pattern = str(rng.choice(["none", "stripes"] if plane else ["stripes", "checker", "none"]))

@@ -1,8 +1,8 @@
 """HOMC on generated sequences, sparse and dense: `python benchmarks/homc_sequences.py --data DIR --split val`.
 
-Frame 80 of each sequence is segmented, from all eight frames. Sparse labels are scored where they lie, with the share
-of pixels that have one; dense ones everywhere. Each value of `--join` (t0) makes two rows: this is how its default was
-chosen, on a validation split.
+Frame 80 of each sequence is segmented using all eight frames. Sparse labels are scored on the tracked pixels, whose
+share is printed; dense labels are scored everywhere. Each value of `--join` (t0) has two rows; its default was chosen
+by this benchmark on a validation split.
 """
 
 from __future__ import annotations
@@ -34,19 +34,20 @@ class Settings:
     data: Path
     """Folder of a generated data set with sequences."""
     split: str = "val"
-    """Which of its splits."""
+    """Split of the data set."""
     limit: int = 30
-    """At most so many sequences."""
+    """Maximum number of sequences."""
     join: tuple[float, ...] = (Homc.join,)
-    """Values of t0 to try."""
+    """Values of t0."""
     pair: bool = False
-    """From frames 20 and 80 alone, repeated five times."""
+    """Use only frames 20 and 80, repeated five times."""
 
 
 def main(settings: Settings) -> None:
     rows = open_sequences(settings.data, settings.split)
-    every = (rows[k] for k in range(len(rows)))
-    sequences = [list(group) for _, group in itertools.groupby(every, key=lambda row: row.sequence)][: settings.limit]
+    ordered = (rows[k] for k in range(len(rows)))
+    groups = itertools.groupby(ordered, key=lambda row: row.sequence)
+    sequences = [list(group) for _, group in groups][: settings.limit]
     table = Table(title=f"{len(sequences)} sequences of {settings.split}, {'2' if settings.pair else '8'} frames")
     for name in ("t0", "labels", "pixels", "P", "R", "F", "mean F", "extracted", "CPU s"):
         table.add_column(name, justify="right")
@@ -56,18 +57,18 @@ def main(settings: Settings) -> None:
         seconds: list[float] = []
         shares: list[float] = []
         for sequence in sequences:
-            found, true, color, used = segment(sequence, Homc(join=join), settings.pair)
-            seconds.append(used)
-            at = pixel_index(found.at)
+            result, true, color, cpu_seconds = segment(sequence, Homc(join=join), settings.pair)
+            seconds.append(cpu_seconds)
+            pixels = pixel_index(result.positions)
             labels = np.zeros(true.shape, np.int64)
-            labels[at] = found.labels
+            labels[pixels] = result.labels
             known = np.zeros(true.shape, np.bool_)
-            known[at] = True
+            known[pixels] = True
             shares.append(float(known.mean()))
             if known.any():
                 sparse.append(score_segmentation(true[known][None], labels[known][None].astype(np.int32)))
-            filled = densify(found.at, found.labels, found.lab, lab_image(color))
-            dense.append(score_segmentation(true, filled.astype(np.int32)))
+            dense_labels = densify(result.positions, result.labels, result.lab, lab_image(color))
+            dense.append(score_segmentation(true, dense_labels.astype(np.int32)))
         table.add_row(f"{join:g}", "sparse", f"{np.mean(shares):.1%}", *cells(sparse), f"{np.mean(seconds):.1f}")
         table.add_row(f"{join:g}", "dense", "100%", *cells(dense), f"{np.mean(seconds):.1f}")
     Console().print(table)
@@ -76,7 +77,7 @@ def main(settings: Settings) -> None:
 def segment(
     sequence: list[SequenceRow], method: Homc, pair: bool
 ) -> tuple[Segmentation, LabelImage, UInt8Array, float]:
-    """Labelled tracks, the truth and colour of frame 80, and CPU seconds."""
+    """Labelled tracks, ground truth and colour of frame 80, and CPU seconds."""
     numbers = [row.frame for row in sequence]
     prev, curr = numbers.index(PREV_FRAME), numbers.index(CURR_FRAME)
     frames = [row.image for row in sequence]
@@ -89,7 +90,7 @@ def segment(
 
 
 def cells(scores: list[SegmentationScore]) -> list[str]:
-    """P, R and F in the convention of FBMS-59, the mean F, and extracted objects."""
+    """P, R and F as defined for FBMS-59, the mean F, and the number of extracted objects."""
     P, R, F = np.mean([score.fbms for score in scores], axis=0)
     mean = np.mean([score.mean_f.f for score in scores])
     counts = f"{sum(s.fbms_extracted for s in scores)}/{sum(s.true_objects for s in scores)}"

@@ -1,8 +1,8 @@
-"""What a moving camera costs: `python benchmarks/moving_camera.py`.
+"""Accuracy with a moving camera: `python benchmarks/moving_camera.py`.
 
-The tests' analytic scenes, each with a still camera and again with the camera of the previous frame moved by 1-5
-degrees and 1-5 cm. The current frame, and so the true motion of the objects in the world, is the same in both. Errors
-are those of the masked scene flow, on the objects that moved.
+Uses the analytic scenes of the tests, each with a static camera and with a camera that moved by 1-5 degrees and
+1-5 cm. The current frame and the objects' motions in the world are the same in both. Errors are those of the scene
+flow on moving objects.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from objectflow.typing import Float32Array, Float64Array
 
 @dataclasses.dataclass
 class Settings:
-    """Compares methods before a still and before a moving camera."""
+    """Compares methods with a static and with a moving camera."""
 
     methods: tuple[str, ...] = ("dense-flow", "pd-flow", "consensus")
-    """Methods by name."""
+    """Names of the methods."""
     scenes: int = 12
-    """How many."""
+    """Number of scenes."""
     first_seed: int = 500
     """Seed of the first scene."""
 
@@ -39,17 +39,17 @@ def main(settings: Settings) -> None:
     """Render, estimate, print."""
     seeds = range(settings.first_seed, settings.first_seed + settings.scenes)
     motions = [draw_motion(seed) for seed in seeds]
-    still = [analytic.make_scene(seed) for seed in seeds]
+    static = [analytic.make_scene(seed) for seed in seeds]
     moved = [analytic.make_scene(seed, camera_motion=motion) for seed, motion in zip(seeds, motions, strict=True)]
     table = Table(title=f"{settings.scenes} analytic scenes, masked EPE in cm")
-    for column in ("method", "still camera", "moving, as it is", "moving, taken out", "times still"):
+    for column in ("method", "static camera", "moving", "moving, compensated", "times static"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for name in settings.methods:
         method = objectflow.load(name, camera="static")
         errors = [
             np.mean([error(estimator(pair.prev, pair.curr).scene_flow, pair) for pair in pairs])
             for estimator, pairs in (
-                (method, still),
+                (method, static),
                 (method, moved),
                 (MovingCamera(method, camera="moving"), moved),
             )
@@ -57,31 +57,31 @@ def main(settings: Settings) -> None:
         table.add_row(name, *(f"{100 * value:.2f}" for value in errors), f"{errors[2] / errors[0]:.2f}")
     console = Console(width=110)
     console.print(table)
-    shift, turn = zip(*(camera_error(pair, motion) for pair, motion in zip(moved, motions, strict=True)), strict=True)
-    console.print(f"camera motion: median error {1000 * np.median(shift):.2f} mm, {np.median(turn):.3f} deg")
+    shift, angle = zip(*(camera_error(pair, motion) for pair, motion in zip(moved, motions, strict=True)), strict=True)
+    console.print(f"camera motion: median error {1000 * np.median(shift):.2f} mm, {np.median(angle):.3f} deg")
 
 
 def draw_motion(seed: int) -> Float64Array:
-    """A camera motion of 1-5 degrees and 1-5 cm in any direction."""
+    """A random camera motion of 1-5 degrees and 1-5 cm."""
     rng = np.random.default_rng(seed)
-    axis, way = rng.normal(size=3), rng.normal(size=3)
+    axis, direction = rng.normal(size=3), rng.normal(size=3)
     out = np.eye(4)
     out[:3, :3] = Rotation.from_rotvec(np.radians(rng.uniform(1, 5)) * axis / np.linalg.norm(axis)).as_matrix()
-    out[:3, 3] = rng.uniform(0.01, 0.05) * way / np.linalg.norm(way)
+    out[:3, 3] = rng.uniform(0.01, 0.05) * direction / np.linalg.norm(direction)
     return out
 
 
 def error(flow: Float32Array, pair: analytic.AnalyticPair) -> float:
-    """Mean error in metres on the objects that moved."""
+    """Mean end-point error on the moving objects, metres."""
     mask = np.isin(pair.labels, sorted(pair.moving)) & np.isfinite(flow[..., 0])
     return float(np.linalg.norm(flow[mask] - pair.scene_flow[mask], axis=-1).mean())
 
 
 def camera_error(pair: analytic.AnalyticPair, motion: Float64Array) -> tuple[float, float]:
-    """Metres and degrees between the camera's motion as found and as it was."""
+    """Error of the estimated camera motion, metres and degrees."""
     found = find_camera_motion(FramePair(pair.prev, pair.curr), camera="moving")
-    off = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
-    return float(np.linalg.norm(off[:3, 3])), float(np.degrees(geometry.rotation_angle(off[:3, :3])))
+    error = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
+    return float(np.linalg.norm(error[:3, 3])), float(np.degrees(geometry.rotation_angle(error[:3, :3])))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What a method finds on the real pairs, against their derived truth: `python benchmarks/real_pairs.py`.
+"""Results of a method on real pairs, compared with derived ground truth: `python benchmarks/real_pairs.py`.
 
 Reads a folder of pair folders, some with a `truth.npz` (labels0, labels1, prev_T_curr, background_prev_T_curr, names).
 """
@@ -29,9 +29,9 @@ class Settings:
     data: Path = ROOT.parent / "shared" / "data"
     """Folder of pair folders."""
     method: str = "consensus"
-    """Any method by name."""
+    """Name of the method."""
     pictures: Path | None = None
-    """Draw every result's outlines into this folder."""
+    """Folder for pictures with the outlines of every result."""
 
 
 def main(settings: Settings) -> None:
@@ -46,8 +46,8 @@ def main(settings: Settings) -> None:
         "moving",
         "truth",
         "IoU",
-        "rot err deg",
-        "centre err mm",
+        "rotation error deg",
+        "centre error mm",
     ):
         table.add_column(column)
     for folder in sorted(p.parent for p in settings.data.glob("*/camera.json")):
@@ -58,11 +58,11 @@ def main(settings: Settings) -> None:
         motion = estimator(prev, curr)
         seconds = time.perf_counter() - start
         truth = read_truth(folder, curr)
-        moved = "static" if motion.camera_motion is None else describe(motion.camera_motion)
+        camera_text = "static" if motion.camera_motion is None else describe_motion(motion.camera_motion)
         rows = [describe_object(obj, motion, curr, truth) for obj in motion.objects]
         rows += [("-", "", "", "", f"missed: {name}", "", "", "") for name in missed(motion, truth)]
         for i, row in enumerate(rows or [("none", "", "", "", "", "", "", "")]):
-            table.add_row(*((folder.name, f"{seconds:.2f}", moved) if i == 0 else ("", "", "")), *row)
+            table.add_row(*((folder.name, f"{seconds:.2f}", camera_text) if i == 0 else ("", "", "")), *row)
         if settings.pictures:
             draw(settings.pictures / f"{folder.name}.png", curr, motion, truth)
     Console(width=150).print(table)
@@ -81,7 +81,7 @@ def read_pair(folder: Path) -> tuple[objectflow.RgbdFrame, objectflow.RgbdFrame]
 
 @dataclasses.dataclass
 class Truth:
-    """What `truth.npz` says, with labels on the current frame."""
+    """Ground truth of a `truth.npz`, with labels on the current frame."""
 
     labels: np.ndarray
     prev_T_curr: dict[int, np.ndarray]
@@ -101,29 +101,29 @@ def read_truth(folder: Path, curr: objectflow.RgbdFrame) -> Truth | None:
     moving = {}
     for k, T in motions.items():
         center = np.median(points[(labels == k) & curr.valid], axis=0)
-        far = np.linalg.norm(geometry.transform(T, center) - geometry.transform(background, center))
-        moving[k] = bool(far > 0.005) and "static" not in names[k]
+        displacement = np.linalg.norm(geometry.transform(T, center) - geometry.transform(background, center))
+        moving[k] = bool(displacement > 0.005) and "static" not in names[k]
     return Truth(labels, motions, moving, names)
 
 
 def center_of(points: np.ndarray) -> np.ndarray:
-    """The point at which translations are compared: of a round thing its middle, else the median of what is seen.
+    """The point at which translations are compared: the centre of a ball, otherwise the median of the visible points.
 
-    The truth says nothing about the roll of a ball; its surface points move by the roll too, its middle does not.
+    The rolling of a ball is unknown; it affects the motion of surface points but not of the centre.
     """
     median = np.median(points, axis=0).astype(np.float64)
     near = points[np.linalg.norm(points - median, axis=1) < 0.05].astype(np.float64)
     if len(near) < 0.8 * len(points):
         return median
     solution, *_ = np.linalg.lstsq(np.c_[2 * near, np.ones(len(near))], (near**2).sum(axis=1), rcond=None)
-    middle = solution[:3]
-    radius = float(np.sqrt(max(0.0, solution[3] + middle @ middle)))
-    misfit = np.sqrt(np.mean((np.linalg.norm(near - middle, axis=1) - radius) ** 2))
-    return middle if radius < 0.06 and misfit < 0.004 else median
+    center = solution[:3]
+    radius = float(np.sqrt(max(0.0, solution[3] + center @ center)))
+    rmse = np.sqrt(np.mean((np.linalg.norm(near - center, axis=1) - radius) ** 2))
+    return center if radius < 0.06 and rmse < 0.004 else median
 
 
 def overlap(mask: np.ndarray, truth: Truth) -> tuple[int, float]:
-    """The true object that a mask covers best, and their IoU."""
+    """The true object with the largest IoU with a mask, and the IoU."""
     scores = {k: (mask & (truth.labels == k)).sum() / (mask | (truth.labels == k)).sum() for k in truth.names}
     best = max(scores, key=lambda k: scores[k])
     return best, float(scores[best])
@@ -132,9 +132,9 @@ def overlap(mask: np.ndarray, truth: Truth) -> tuple[int, float]:
 def describe_object(
     obj: objectflow.ObjectMotion, motion: objectflow.SceneMotion, curr: objectflow.RgbdFrame, truth: Truth | None
 ) -> tuple[str, ...]:
-    far, turned = np.linalg.norm(obj.translation) * 100, np.degrees(np.linalg.norm(obj.rotation_vector))
+    displacement, angle = np.linalg.norm(obj.translation) * 100, np.degrees(np.linalg.norm(obj.rotation_vector))
     base = (
-        f"{obj.id}: {far:.1f} cm {turned:.1f} deg",
+        f"{obj.id}: {displacement:.1f} cm {angle:.1f} deg",
         str(obj.pixels),
         f"{obj.score:.2f}",
         str(obj.moving),
@@ -148,10 +148,10 @@ def describe_object(
     points = geometry.back_project(curr.depth, curr.camera)[(truth.labels == k) & curr.valid]
     center = center_of(points)
     true = truth.prev_T_curr[k]
-    turn = np.degrees(geometry.rotation_angle(obj.prev_T_curr[:3, :3] @ true[:3, :3].T))
+    angle_error = np.degrees(geometry.rotation_angle(obj.prev_T_curr[:3, :3] @ true[:3, :3].T))
     shift = np.linalg.norm(geometry.transform(obj.prev_T_curr, center) - geometry.transform(true, center)) * 1000
-    kind = "moves" if truth.moving[k] else "STILL"
-    return (*base, f"{truth.names[k]} ({kind})", f"{iou:.2f}", f"{turn:.1f}", f"{shift:.1f}")
+    state = "moving" if truth.moving[k] else "STATIC"
+    return (*base, f"{truth.names[k]} ({state})", f"{iou:.2f}", f"{angle_error:.1f}", f"{shift:.1f}")
 
 
 def missed(motion: objectflow.SceneMotion, truth: Truth | None) -> list[str]:
@@ -165,7 +165,7 @@ def missed(motion: objectflow.SceneMotion, truth: Truth | None) -> list[str]:
     return [name for k, name in truth.names.items() if truth.moving[k] and k not in found]
 
 
-def describe(prev_T_curr: np.ndarray) -> str:
+def describe_motion(prev_T_curr: np.ndarray) -> str:
     return (
         f"{np.linalg.norm(prev_T_curr[:3, 3]) * 100:.1f} cm "
         f"{np.degrees(geometry.rotation_angle(prev_T_curr[:3, :3])):.1f} deg"

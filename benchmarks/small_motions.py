@@ -1,6 +1,6 @@
-"""Flow methods on small smooth motions, beside zero flow: `python benchmarks/small_motions.py`.
+"""Flow methods on small smooth motions, compared with zero flow: `python benchmarks/small_motions.py`.
 
-The scenes are the tests' ray-cast ones: 2-4 objects that move by 3-8 mm and turn by up to 3 degrees, at 320x240.
+Uses the analytic scenes of the tests with 2-4 objects that move by 3-8 mm and rotate by up to 3 degrees, at 320x240.
 Options of a method follow its name: `sr-flow:alpha=10`.
 """
 
@@ -23,9 +23,9 @@ class Settings:
     """Scores methods on small motions."""
 
     methods: tuple[str, ...] = ("zero", "sr-flow", "sr-flow:alpha=10")
-    """Methods, with options where wanted."""
+    """Methods, optionally with options."""
     scenes: int = 4
-    """How many, from seed 0 on."""
+    """Number of scenes, with seeds from 0."""
 
 
 def main(settings: Settings) -> None:
@@ -34,27 +34,27 @@ def main(settings: Settings) -> None:
         for seed in range(settings.scenes)
     ]
     table = Table(title=f"{settings.scenes} scenes, visible pixels")
-    for name in ("method", "EPE on what moves, mm", "of zero flow's", "EPE on all, mm", "CPU s", "s"):
+    for name in ("method", "EPE on moving objects, mm", "of zero flow's", "EPE on all pixels, mm", "CPU s", "s"):
         table.add_column(name, justify="left" if name == "method" else "right")
     for text in settings.methods:
         estimator = parse_method(text).make()
-        moving, every, zero = [], [], []
+        moving, all_pixels, zero = [], [], []
         start, cpu = time.perf_counter(), time.process_time()
         flows = [estimator(pair.prev, pair.curr).scene_flow for pair in pairs]
         cpu, start = time.process_time() - cpu, time.perf_counter() - start
         for pair, flow in zip(pairs, flows, strict=True):
-            seen = pair.visible & pair.curr.valid
-            mask = seen & np.isin(pair.labels, list(pair.moving))
+            visible = pair.visible & pair.curr.valid
+            mask = visible & np.isin(pair.labels, list(pair.moving))
             error = np.linalg.norm(flow - pair.scene_flow, axis=-1) * 1000
             moving.append(error[mask].mean())
-            every.append(error[seen].mean())
+            all_pixels.append(error[visible].mean())
             zero.append(np.linalg.norm(pair.scene_flow[mask], axis=-1).mean() * 1000)
         share = np.mean(moving) / np.mean(zero)
         table.add_row(
             text,
             f"{np.mean(moving):.2f}",
             f"{share:.0%}",
-            f"{np.mean(every):.3f}",
+            f"{np.mean(all_pixels):.3f}",
             f"{cpu / len(pairs):.1f}",
             f"{start / len(pairs):.1f}",
         )

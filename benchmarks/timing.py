@@ -1,4 +1,4 @@
-"""How the benchmarks of one process take time."""
+"""Timing for benchmarks that run in one process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Item = TypeVar("Item")
 
 
 def time_each(work: Callable[[Item], object], items: Iterable[Item], device: str = "cpu") -> list[float]:
-    """Wall-clock seconds of the work on each item but the first, which only warms up; to the end of what CUDA does."""
+    """Wall-clock seconds per item, without the first item, which is a warm-up; CUDA work is synchronised."""
     seconds = []
     for item in items:
         start = time.perf_counter()

@@ -1,7 +1,7 @@
-"""`vo-sf` and `pd-flow` beside what the authors' VO-SF program returns: `python benchmarks/vo_sf_program.py`.
+"""`vo-sf` and `pd-flow` compared with the output of the authors' VO-SF program: `python benchmarks/vo_sf_program.py`.
 
-Reads pair folders (VGA) and, for each, the program's output for them reduced to 320x240: `flow.npy` (3, 240, 320)
-metres, `labels.npy` (cluster of each pixel), `b.npy` (24) and `camera.npy` (4x4, frame 1 to frame 0).
+Reads pair folders (VGA) and the program's output for each at 320x240: `flow.npy` (3, 240, 320) in metres, `labels.npy`
+(cluster of each pixel), `b.npy` (24) and `camera.npy` (4x4, frame 1 to frame 0).
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ class Settings:
     data: Path = SHARED / "data"
     """Folder of pair folders."""
     program: Path = SHARED / "reference" / "vosf"
-    """Folder with the program's output, one folder a pair."""
+    """Folder with the program's output, one folder per pair."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Output:
-    """What the program returns: flow (240, 320, 3) m, which pixels move (240, 320), and its frame 0 from frame 1."""
+    """Output of the program: flow (240, 320, 3) in metres, moving pixels (240, 320), and frame 1 to frame 0 (4, 4)."""
 
     flow: Float32Array
-    moves: BoolMask
+    moving: BoolMask
     camera: Float64Array
 
 
 def read_pair(folder: Path) -> tuple[RgbdFrame, RgbdFrame]:
-    """Previous and current frame: the program's second and its first, which carries its result.
+    """Read the previous and the current frame, which are the program's second and first frame.
 
-    Reduced as the program does it: its pixel (r, c) is VGA's (2r + 1, 2c), with a focal length of its own.
+    Frames are downsampled as in the program: its pixel (r, c) is VGA pixel (2r + 1, 2c), with its own focal length.
     """
     camera, scale = Camera.read(folder / "camera.json")
-    own = Camera(320, 240, 263.672, 263.672, 159.5, 119.5)
+    program_camera = Camera(320, 240, 263.672, 263.672, 159.5, 119.5)
     frames = []
     for k in (1, 0):
         vga = RgbdFrame.read(
             folder / f"color{k}.png", folder / f"depth{k}.png", camera=camera, depth_scale=scale or 1000
         )
-        frames.append(RgbdFrame(vga.color[1::2, ::2], vga.depth[1::2, ::2], own))
+        frames.append(RgbdFrame(vga.color[1::2, ::2], vga.depth[1::2, ::2], program_camera))
     return frames[0], frames[1]
 
 
@@ -62,33 +62,33 @@ def read_output(folder: Path) -> Output:
     moving = np.append(np.load(folder / "b.npy") > 0.667, False)
     return Output(
         flow=np.moveaxis(np.load(folder / "flow.npy"), 0, -1),
-        moves=moving[np.load(folder / "labels.npy")],
+        moving=moving[np.load(folder / "labels.npy")],
         camera=np.load(folder / "camera.npy").astype(np.float64),
     )
 
 
 def compare(motion: objectflow.SceneMotion, output: Output) -> dict[str, float]:
-    """Overlap of what moves, differences of flow on what both call moving, and of the camera's motion where known."""
-    ours = motion.labels > 0
-    both = ours & output.moves if ours.any() else output.moves
+    """IoU of the moving pixels, difference of the flow on common moving pixels, and of the camera motion if known."""
+    moving = motion.labels > 0
+    both = moving & output.moving if moving.any() else output.moving
     difference = np.linalg.norm(motion.scene_flow - output.flow, axis=-1)[both]
-    a, b = motion.scene_flow[output.moves], output.flow[output.moves]
+    a, b = motion.scene_flow[output.moving], output.flow[output.moving]
     cosine = (a * b).sum(-1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
     out = {
-        "iou": float((ours & output.moves).sum() / (ours | output.moves).sum()),
+        "iou": float((moving & output.moving).sum() / (moving | output.moving).sum()),
         "flow mm": 1000 * float(np.median(difference)),
         "angle deg": float(np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1)))),
     }
     if motion.camera_motion is not None:
-        off = motion.camera_motion @ output.camera  # prev_T_curr after the program's curr_T_prev
-        out["camera mm"] = 1000 * float(np.linalg.norm(off[:3, 3]))
-        out["camera deg"] = float(np.degrees(geometry.rotation_angle(off[:3, :3])))
+        error = motion.camera_motion @ output.camera  # prev_T_curr times the program's curr_T_prev.
+        out["camera mm"] = 1000 * float(np.linalg.norm(error[:3, 3]))
+        out["camera deg"] = float(np.degrees(geometry.rotation_angle(error[:3, :3])))
     return out
 
 
 def main(settings: Settings) -> None:
     columns = ("iou", "flow mm", "angle deg", "camera mm", "camera deg", "seconds")
-    table = Table(title="difference from the authors' VO-SF program, medians on what moves")
+    table = Table(title="difference from the authors' VO-SF program, medians on moving pixels")
     for column in ("pair", "method", *columns):
         table.add_column(column, justify="left" if column in ("pair", "method") else "right")
     for name in PAIRS:
@@ -101,7 +101,7 @@ def main(settings: Settings) -> None:
             row = compare(estimator(prev, curr), output)
             row["seconds"] = time.perf_counter() - start
             if method == "pd-flow":
-                del row["iou"]  # it finds no objects
+                del row["iou"]  # It segments no objects.
             table.add_row(name, method, *(f"{row[c]:.3f}" if c in row else "" for c in columns))
     Console(width=110).print(table)
 

@@ -1,4 +1,4 @@
-"""Random bytes, random arrays and damaged files: nothing but an `ObjectflowError` may come out."""
+"""Random bytes, random arrays and damaged files may raise only `ObjectflowError`."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ json_values = st.recursive(
 damages = st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=6)
 
 
-def only_ours(call: Callable[[], Any]) -> Any:
-    """What the call returns, or None if it raised an `ObjectflowError` of one line; all else fails the test."""
+def value_or_error(call: Callable[[], Any]) -> Any:
+    """The return value of the call, or None if it raised a one-line `ObjectflowError`; other errors propagate."""
     try:
         return call()
     except ObjectflowError as error:
@@ -51,7 +51,7 @@ def only_ours(call: Callable[[], Any]) -> Any:
 
 
 def damaged(data: bytes, damage: list[tuple[float, int]]) -> bytes:
-    """Overwrite bytes at shares of the length; an odd number of damages also cuts the end off at the last one."""
+    """Overwrite bytes at shares of the length; an odd number of damages also truncates the data at the last."""
     out = bytearray(data)
     for share, value in damage:
         out[int(share * (len(out) - 1))] = value
@@ -68,7 +68,7 @@ def encoded(kind: str, image: NDArray[Any]) -> bytes:
 @given(st.fixed_dictionaries(dict.fromkeys(CAMERA.to_dict(), numbers | json_values)))
 @fuzz
 def test_cameras_of_random_values(values: dict[str, Any]) -> None:
-    camera = only_ours(lambda: Camera(**values))
+    camera = value_or_error(lambda: Camera(**values))
     if camera is not None:
         assert all(math.isfinite(value) for value in camera.to_dict().values())
         assert camera.fx > 0
@@ -80,7 +80,7 @@ def test_cameras_of_random_values(values: dict[str, Any]) -> None:
 def test_camera_files_with_one_random_value(tmp_path: Path, name: str, value: Any) -> None:
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(CAMERA.to_dict() | {"depth_scale": 1000, name: value}))
-    read = only_ours(lambda: Camera.read(path))
+    read = value_or_error(lambda: Camera.read(path))
     if read is not None and name != "depth_scale":
         assert read[0].to_dict()[name] == value
 
@@ -90,7 +90,7 @@ def test_camera_files_with_one_random_value(tmp_path: Path, name: str, value: An
 def test_camera_files_of_random_and_damaged_bytes(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "camera.json"
     path.write_bytes(content)
-    read = only_ours(lambda: Camera.read(path))
+    read = value_or_error(lambda: Camera.read(path))
     assert read is None or isinstance(read[0], Camera)
 
 
@@ -102,7 +102,7 @@ def test_camera_files_of_random_and_damaged_bytes(tmp_path: Path, content: bytes
 def test_frames_of_random_depth_of_every_float(depth: Float64Array, kind: str) -> None:
     with np.errstate(all="ignore"):
         values = depth.astype(kind)
-    frame = only_ours(lambda: RgbdFrame(color=COLOR, depth=values, camera=CAMERA))
+    frame = value_or_error(lambda: RgbdFrame(color=COLOR, depth=values, camera=CAMERA))
     if frame is not None:
         assert frame.depth.dtype == np.float32
         assert np.isfinite(frame.depth).all()
@@ -116,9 +116,9 @@ def test_frames_of_random_depth_of_every_float(depth: Float64Array, kind: str) -
     st.sampled_from([CAMERA, None, CAMERA.matrix, "camera"]),
 )
 @fuzz
-def test_frames_of_random_things(color: Any, depth: Any, camera: Any) -> None:
-    # No array is as large as the camera's image, so not one of these is a frame.
-    assert only_ours(lambda: RgbdFrame(color=color, depth=depth, camera=camera)) is None
+def test_frames_of_random_objects(color: Any, depth: Any, camera: Any) -> None:
+    # No array has the size of the camera's image, so no frame is valid.
+    assert value_or_error(lambda: RgbdFrame(color=color, depth=depth, camera=camera)) is None
 
 
 COLOR_FILES = [encoded(".png", COLOR), encoded(".jpg", COLOR), encoded(".bmp", COLOR), encoded(".tiff", COLOR)]
@@ -140,7 +140,7 @@ def test_image_files_of_random_and_damaged_bytes(
 ) -> None:
     (tmp_path / "color.png").write_bytes(color)
     (tmp_path / "depth.png").write_bytes(depth)
-    frame = only_ours(
+    frame = value_or_error(
         lambda: RgbdFrame.read(tmp_path / "color.png", tmp_path / "depth.png", camera=CAMERA, depth_scale=scale)
     )
     if frame is not None:
@@ -150,11 +150,11 @@ def test_image_files_of_random_and_damaged_bytes(
 
 @given(damages)
 @fuzz
-def test_a_damaged_depth_png_is_refused_or_whole(tmp_path: Path, damage: list[tuple[float, int]]) -> None:
+def test_a_damaged_depth_png_is_refused_or_unchanged(tmp_path: Path, damage: list[tuple[float, int]]) -> None:
     (tmp_path / "color.png").write_bytes(COLOR_FILES[0])
     (tmp_path / "depth.png").write_bytes(damaged(DEPTH_FILES[0], damage))
-    frame = only_ours(lambda: RgbdFrame.read(tmp_path / "color.png", tmp_path / "depth.png", camera=CAMERA))
-    if frame is not None:  # the damage wrote what was there, or hit nothing that counts
+    frame = value_or_error(lambda: RgbdFrame.read(tmp_path / "color.png", tmp_path / "depth.png", camera=CAMERA))
+    if frame is not None:  # The damage rewrote the same value or hit an irrelevant byte.
         np.testing.assert_array_equal(frame.depth, DEPTH.astype(np.float32) / np.float32(1000))
 
 
@@ -170,8 +170,9 @@ def result(tmp_path: Path) -> Path:
     return tmp_path / "out"
 
 
-def load_fits(folder: Path) -> None:
-    motion = only_ours(lambda: SceneMotion.load(folder))
+def check_load(folder: Path) -> None:
+    """Load a result folder; if it is accepted, it must be consistent."""
+    motion = value_or_error(lambda: SceneMotion.load(folder))
     if motion is not None:
         assert motion.labels.dtype == np.int32
         assert motion.scene_flow.shape == (*motion.labels.shape, 3)
@@ -186,7 +187,7 @@ def test_result_folders_with_one_damaged_file(
 ) -> None:
     whole = (result / name).read_bytes()
     (result / name).write_bytes(damaged(whole, damage) if content is None else content)
-    load_fits(result)
+    check_load(result)
     (result / name).write_bytes(whole)
 
 
@@ -204,16 +205,16 @@ def test_result_folders_with_one_random_value(result: Path, name: str, inner: st
     else:
         summary["objects"][0][inner] = value
     (result / "objects.json").write_text(json.dumps(summary))
-    load_fits(result)
+    check_load(result)
     (result / "objects.json").write_text(whole)
 
 
-@pytest.mark.filterwarnings("ignore")  # the header is read as a Python literal, which may have odd escapes
+@pytest.mark.filterwarnings("ignore")  # The header is parsed as a Python literal, which may have invalid escapes.
 @given(st.binary(max_size=60), st.floats(0, 1))
 @fuzz
-def test_flow_files_with_a_torn_header(result: Path, junk: bytes, where: float) -> None:
+def test_flow_files_with_a_damaged_header(result: Path, junk: bytes, share: float) -> None:
     whole = (result / "scene_flow.npy").read_bytes()
-    at = 10 + int(where * 60)
+    at = 10 + int(share * 60)
     (result / "scene_flow.npy").write_bytes(whole[:at] + junk + whole[at + len(junk) :])
-    load_fits(result)
+    check_load(result)
     (result / "scene_flow.npy").write_bytes(whole)

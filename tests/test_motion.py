@@ -1,4 +1,4 @@
-"""Results: what may be made, and folders that round-trip or are refused."""
+"""Validation of `SceneMotion`, and result folders that round-trip or are refused."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def make_motion(**changes: Any) -> SceneMotion:
     return SceneMotion(**(values | changes))
 
 
-def test_an_object_tells_its_motion_about_its_center() -> None:
+def test_rotation_and_translation_are_about_the_center() -> None:
     obj = make_object(1, np.random.default_rng(1))
     R = Rotation.from_rotvec(obj.rotation_vector).as_matrix()
     np.testing.assert_allclose(R, obj.prev_T_curr[:3, :3], atol=1e-12)
@@ -62,7 +62,7 @@ def test_an_object_tells_its_motion_about_its_center() -> None:
         ({"camera_motion": np.eye(3)}, "camera_motion must be a 4x4 transform"),
     ],
 )
-def test_a_result_that_does_not_fit_together_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_an_inconsistent_result_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ResultError, match=message):
         make_motion(**changes)
 
@@ -74,9 +74,9 @@ def test_a_result_that_does_not_fit_together_is_refused(changes: dict[str, Any],
         make_motion(camera_motion=None),
         make_motion(labels=np.zeros((6, 8), np.int32), objects=(), camera_motion=None),
     ],
-    ids=["full", "still camera", "no objects"],
+    ids=["full", "static camera", "no objects"],
 )
-def test_a_result_comes_back_bit_by_bit(tmp_path: Path, motion: SceneMotion) -> None:
+def test_a_result_round_trips_bit_by_bit(tmp_path: Path, motion: SceneMotion) -> None:
     motion.save(tmp_path / "deep" / "out")
     assert {path.name for path in (tmp_path / "deep" / "out").iterdir()} == {
         "labels.png",
@@ -100,7 +100,7 @@ def test_a_result_comes_back_bit_by_bit(tmp_path: Path, motion: SceneMotion) -> 
         assert loaded.camera_motion.tobytes() == motion.camera_motion.tobytes()
 
 
-def test_the_files_are_what_other_programs_expect(tmp_path: Path) -> None:
+def test_the_files_have_the_documented_content(tmp_path: Path) -> None:
     motion = make_motion()
     motion.save(tmp_path / "out")
     labels = cv2.imread(str(tmp_path / "out" / "labels.png"), cv2.IMREAD_UNCHANGED)
@@ -124,7 +124,7 @@ def test_labels_that_do_not_fit_the_file_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_with_content_is_refused_and_untouched(tmp_path: Path) -> None:
+def test_a_folder_with_content_is_refused_and_unchanged(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "labels.png").write_bytes(b"precious")
     with pytest.raises(ResultError, match="exists and is not empty"):
@@ -142,7 +142,7 @@ def refuse(*_: Any, **__: Any) -> None:
     [(np, "save"), (Path, "write_bytes"), (Path, "write_text"), (os, "fsync"), (os, "rename")],
     ids=lambda value: value if isinstance(value, str) else value.__name__,
 )
-def test_nothing_is_left_behind_when_the_disk_refuses(
+def test_nothing_is_left_behind_after_a_disk_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, owner: Any, step: str
 ) -> None:
     monkeypatch.setattr(owner, step, refuse)
@@ -217,19 +217,19 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_folder_is_named_in_one_line(tmp_path: Path, case: str) -> None:
-    spoil, message = BROKEN[case]
+def test_the_error_for_a_broken_folder_is_one_line_and_names_it(tmp_path: Path, case: str) -> None:
+    damage, message = BROKEN[case]
     make_motion().save(tmp_path / "out")
     SceneMotion.load(tmp_path / "out")
-    spoil(tmp_path / "out")
+    damage(tmp_path / "out")
     with pytest.raises(ResultError, match=message) as caught:
         SceneMotion.load(tmp_path / "out")
     assert str(tmp_path / "out") in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_places_that_are_no_result_folder_are_refused(tmp_path: Path) -> None:
+def test_paths_that_are_not_result_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for place in (tmp_path / "nowhere", tmp_path / "file", "nul\0byte"):
+    for path in (tmp_path / "nowhere", tmp_path / "file", "nul\0byte"):
         with pytest.raises(ResultError, match="not a result folder"):
-            SceneMotion.load(place)
+            SceneMotion.load(path)

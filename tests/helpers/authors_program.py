@@ -1,4 +1,4 @@
-"""What the authors' VO-SF program returned for real pairs, where it lies beside the checkout, and how to read it."""
+"""Outputs of the VO-SF authors' program for real pairs, where they lie beside the checkout."""
 
 from __future__ import annotations
 

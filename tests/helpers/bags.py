@@ -1,4 +1,4 @@
-"""Bags for the tests, written by rosbags, of frames that the tests know."""
+"""Bags of known frames, written by rosbags."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ INFO = "/camera/color/camera_info"
 
 
 class BagBuilder:
-    """Collects messages by topic and writes them as one of the three kinds of bag."""
+    """Collects messages by topic and writes them as a bag of one of the three kinds."""
 
     def __init__(self, kind: Kind) -> None:
         self.kind = kind
@@ -88,7 +88,7 @@ class BagBuilder:
         )
 
     def write(self, path: Path) -> Path:
-        """Write the bag and return where it is: a file, or a ROS 2 bag's folder."""
+        """Write the bag and return its path: a file, or a ROS 2 bag folder."""
         if self.kind == "ros1":
             with Writer1(path) as writer1:
                 known: dict[str, Any] = {}
@@ -110,7 +110,7 @@ class BagBuilder:
 def write_frames(
     path: Path, frames: Sequence[RgbdFrame], kind: Kind, *, period: float = 0.1, lag: float = 0.004
 ) -> Path:
-    """A plain recording: rgb8, 16UC1 in millimetres a little later than colour, and CameraInfo."""
+    """Write a typical recording: rgb8, 16UC1 in millimetres delayed by `lag` seconds, and CameraInfo."""
     bag = BagBuilder(kind)
     for number, frame in enumerate(frames):
         seconds = 1000.0 + period * number
@@ -121,7 +121,7 @@ def write_frames(
 
 
 def compressed_depth(depth: np.ndarray[Any, Any], *, floating: bool) -> tuple[bytes, str]:
-    """What the compressedDepth transport publishes: its own header, then a PNG."""
+    """The data and format of a compressedDepth message: the transport's header, then a PNG."""
     if not floating:
         return struct.pack("<iff", 0, 0.0, 0.0) + _png(
             np.rint(depth * 1000).astype(np.uint16)

@@ -1,4 +1,4 @@
-"""Tiny scenes without physics or rendering, for tests of everything around them. Run as a script, it generates."""
+"""Tiny scenes without physics or rendering, for tests of the generator. As a script it generates a data set."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from objectflow.errors import ObjectflowError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.runtime.pool import InProcess, Processes
-from objectflow.synth.generation import generate as generating
-from objectflow.synth.generation.generate import GenerationJob, generate
+from objectflow.synth.generation import jobs as generation_jobs
+from objectflow.synth.generation.generate import generate
+from objectflow.synth.generation.jobs import GenerationJob
 from objectflow.synth.generation.tasks import Maker, SceneRows, Task
 
 SETTINGS = {"preset": "fake", "size": [16, 12]}
@@ -25,7 +26,7 @@ FRAMES = (20, 30)
 
 @dataclass(frozen=True)
 class FakeScenes:
-    """Rows that depend on seed, kind and number alone; some scenes take longer, so workers overtake each other."""
+    """Rows that depend on seed, kind and number alone; with a delay, workers finish out of order."""
 
     seed: int = 0
     views: int = 1
@@ -67,7 +68,7 @@ def _image(rng: np.random.Generator) -> tuple[RgbdFrame, np.ndarray]:
 
 
 def main(out: str, count: str, workers: str, delay: str) -> int:
-    generating.ROWS_A_SHARD = 8
+    generation_jobs.ROWS_A_SHARD = 8
     factory = FakeScenes(delay=float(delay))
     pool = Processes(factory, int(workers)) if int(workers) > 1 else InProcess(factory)
     jobs = [GenerationJob("pairs", "train", int(count), 1), GenerationJob("sequences", "train", 5, len(FRAMES))]

@@ -1,4 +1,4 @@
-"""Inputs that every baseline must bear: images of a few pixels, frames with holes, frames all but without depth."""
+"""Edge-case inputs for the baselines: tiny images, frames with holes, frames almost without depth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ TINY_SIZES = [(1, 1), (2, 3), (8, 6), (50, 17)]
 
 
 def random_pair(size: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame]:
-    """Two frames of noise, (width, height)."""
+    """Two frames of noise with size (width, height)."""
     width, height = size
     rng = np.random.default_rng(0)
     camera = Camera(width, height, float(width), float(height), (width - 1) / 2, (height - 1) / 2)
@@ -28,7 +28,7 @@ def random_pair(size: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame]:
 
 
 def with_holes(prev: RgbdFrame, curr: RgbdFrame) -> tuple[RgbdFrame, RgbdFrame]:
-    """The same pair without depth on the right and at scattered pixels, elsewhere in either frame."""
+    """Remove depth on the right and at scattered pixels, at different rows in the two frames."""
     depth = curr.depth.copy()
     depth[:, 200:] = 0
     depth[::7, ::5] = 0
@@ -36,7 +36,7 @@ def with_holes(prev: RgbdFrame, curr: RgbdFrame) -> tuple[RgbdFrame, RgbdFrame]:
 
 
 def nearly_without_depth() -> RgbdFrame:
-    """640x480 with one measured pixel, not the one that is kept of its block at half the size."""
+    """A 640x480 frame with one valid pixel, which downsampling by 2 does not keep."""
     camera, depth = Camera(640, 480, 528.0, 528.0, 319.5, 239.5), np.zeros((480, 640), np.float32)
     depth[0, 0] = 1
     return RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, camera)

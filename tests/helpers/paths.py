@@ -1,4 +1,4 @@
-"""Where the checkout lies, and real recordings beside it."""
+"""Paths of the checkout and of the recordings beside it."""
 
 import os
 from pathlib import Path
@@ -6,6 +6,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 """The checkout."""
 SHARED = ROOT.parent / "shared"
-"""Recordings and references that are no part of the project; tests that want them say so where they are missing."""
+"""Recordings and references outside the repository; tests that need them are skipped where they are missing."""
 HELPERS_ON_PATH = {"PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT / "tests"), os.environ.get("PYTHONPATH"))))}
-"""Part of the environment of a process that imports `helpers`."""
+"""Environment variables for a process that imports `helpers`."""

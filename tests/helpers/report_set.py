@@ -1,4 +1,4 @@
-"""A small evaluation on analytic scenes, with its pictures in memory."""
+"""A small evaluation on analytic scenes, kept in memory."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from analytic import make_scene
+from helpers.truths import truth_of_scene
 from objectflow import geometry, load
-from objectflow.evaluation.data.truth import TrueObject, make_pair_truth
 from objectflow.evaluation.metrics.pair_score import PairScore, score_pair
 from objectflow.evaluation.results import Evaluation, EvaluationPair, Failure, MethodResult, facts_of
 from objectflow.evaluation.tables.summary import summarise
@@ -20,7 +20,7 @@ Method = Callable[[EvaluationPair], SceneMotion]
 
 @dataclass(frozen=True, eq=False)
 class MemorySource:
-    """A `PairSource` of what is in memory."""
+    """A `PairSource` that serves pairs and predictions from memory."""
 
     pairs: dict[str, EvaluationPair]
     predictions: dict[tuple[str, str], SceneMotion]
@@ -41,7 +41,7 @@ def make_set(
     name: str = "analytic",
     failure: str = "no luck",
 ) -> tuple[Evaluation, MemorySource]:
-    """Evaluate methods on `count` scenes of size (width, height); `fail` is a (label, key) without a result."""
+    """Evaluate methods on `count` scenes of size (width, height); `fail` is a (label, key) that has no result."""
     chosen = {"zero": estimate_zero, "noisy": estimate_noisy} if methods is None else methods
     pairs = {f"{name}-{seed:04d}": make_pair(f"{name}-{seed:04d}", seed, size) for seed in range(count)}
     predictions = {(label, key): run(pair) for label, run in chosen.items() for key, pair in pairs.items()}
@@ -62,30 +62,19 @@ def make_set(
 
 
 def make_pair(key: str, seed: int, size: tuple[int, int]) -> EvaluationPair:
-    """One scene whose truth is exact."""
+    """One analytic scene with exact truth."""
     scene = make_scene(seed, width=size[0], height=size[1], objects=(2, 5))
-    objects = [
-        TrueObject(
-            label=label,
-            center=scene.centers[label],
-            prev_T_curr=scene.prev_T_curr[label],
-            axes=np.empty((0, 3)),
-            orders=(),
-            in_both=bool((scene.prev_labels == label).any()),
-        )
-        for label in scene.prev_T_curr
-    ]
-    truth = make_pair_truth(key, scene.curr, scene.labels, objects, scene=f"scene-{seed}")
+    truth = truth_of_scene(scene, key, scene_name=f"scene-{seed}")
     return EvaluationPair(scene.prev, scene.curr, truth)
 
 
 def estimate_zero(pair: EvaluationPair) -> SceneMotion:
-    """Nothing moves."""
+    """A result without motion."""
     return load("zero")(pair.prev, pair.curr)
 
 
 def estimate_noisy(pair: EvaluationPair) -> SceneMotion:
-    """The truth with other numbers for the objects, the last one missed, and noise on the flow."""
+    """The truth with renumbered objects, without the last object, and with noise on the flow."""
     truth = pair.truth
     rng = np.random.default_rng(len(truth.key))
     seen = truth.objects[:-1]

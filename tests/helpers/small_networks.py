@@ -1,4 +1,4 @@
-"""Files of small networks with random weights, for tests that need some and not what they say."""
+"""Files of small networks with random weights, for tests that do not depend on the networks' results."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TINY_RIGID = RigidMatchSettings(
     window=1, updates=1, queries=4, decoder_layers=1,
 )  # fmt: skip
 VARIANTS = {"sceneflownet-s": False, "sceneflownet-c": True, "sceneflownet-c-vl": True}
-"""Every method of the paper's networks, and whether it has a correlation."""
+"""The methods of the paper's networks, and whether their network has a correlation."""
 
 
 def save(path: Path, settings: NetworkSettings = TINY, **metadata: Any) -> Path:
@@ -36,7 +36,7 @@ def save_rigid(path: Path, settings: RigidMatchSettings = TINY_RIGID, **metadata
 
 
 def save_all(folder: Path) -> Path:
-    """Write one for each learned method, under the names that released weights have."""
+    """Write weights of every learned method, under the names of released weights."""
     for name, correlation in VARIANTS.items():
         save(folder / f"{name}.safetensors", dataclasses.replace(TINY, correlation=correlation), variant=name)
     save_rigid(folder / "rigidmatch.safetensors")

@@ -11,10 +11,13 @@ from typing import Any
 import torch
 
 from helpers.pair_sets import random_pair, write_pairs
+from helpers.small_networks import TINY_RIGID
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.manifest import Manifest
 from objectflow.networks import NetworkSettings
-from objectflow.training.loop import TrainJob, train
+from objectflow.training.job import TrainJob
+from objectflow.training.loop import train
+from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
 from objectflow.training.recipe import Recipe
 
 NETWORK = NetworkSettings(
@@ -44,16 +47,18 @@ RECIPE = Recipe(
     log_every=5,
     workers=0,
     augment=AugmentSettings(sensors=1),
-    network=NETWORK,
+    model=SceneFlowNetConfig(NETWORK),
 )
-"""Everything switched on that a resumed run could forget."""
+"""With every feature whose state a resumed run must restore."""
 PLAIN = dataclasses.replace(
     RECIPE,
     ema_decay=0.0,
     augment=AugmentSettings.nothing(),
-    network=dataclasses.replace(NETWORK, trunk_norm="frozen"),
+    model=SceneFlowNetConfig(dataclasses.replace(NETWORK, trunk_norm="frozen")),
 )
-"""Each pair on its own, nothing random: what several processes must agree on."""
+"""Without randomness or batch statistics, so that several processes must agree with one."""
+RIGID = dataclasses.replace(RECIPE, model=RigidMatchConfig(TINY_RIGID))
+"""The same for `RigidMatch`."""
 
 
 def write_set(folder: Path, *, pairs: int = 10) -> Path:
@@ -67,11 +72,12 @@ def write_set(folder: Path, *, pairs: int = 10) -> Path:
 
 
 def job(data: Path, out: Path, recipe: Recipe = RECIPE, **changes: Any) -> TrainJob:
+    """A job on the CPU; `changes` replaces fields."""
     return dataclasses.replace(TrainJob("tiny", recipe, data, out, device="cpu"), **changes)
 
 
-def tensors_of(run: Path) -> Mapping[str, torch.Tensor]:
-    """Everything in a run's last checkpoint, and its best weights."""
+def checkpoint_tensors(run: Path) -> Mapping[str, torch.Tensor]:
+    """Every tensor in a run's last checkpoint, and in its best weights."""
     from safetensors.torch import load_file
 
     folder = sorted((run / "checkpoints").iterdir())[-1]
@@ -86,7 +92,7 @@ def tensors_of(run: Path) -> Mapping[str, torch.Tensor]:
 
 
 def main(kind: str, data: str, out: str) -> None:
-    """Run until killed, or with the other processes of torchrun's environment."""
+    """Train until killed, or together with the other processes of torchrun's environment."""
     torch.set_num_threads(1)
     if kind == "killed":
         recipe = dataclasses.replace(RECIPE, checkpoint_minutes=0.0, log_every=2, steps=40)

@@ -1,4 +1,4 @@
-"""Loading by name, the two plain baselines, and the matches that every method stands on."""
+"""Loading by name, the two plain baselines, and the matches that every method uses."""
 
 from __future__ import annotations
 
@@ -15,9 +15,12 @@ import objectflow
 from helpers.small_networks import save_all
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.alignment import matching
-from objectflow.errors import FrameError, MethodError
-from objectflow.geometry import depth_noise
+from objectflow.alignment.appearance import to_gray
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.errors import FrameError, MethodError, SettingsError
 from objectflow.methods import find_weights
+from objectflow.methods.base import PairEstimator, estimate_pair
+from objectflow.methods.registry import find_class
 from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 
@@ -28,7 +31,7 @@ def scene(seed: int) -> analytic.AnalyticPair:
 
 @pytest.fixture(autouse=True, scope="module")
 def released_weights(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Small networks in the place of the released ones, so that every method loads."""
+    """Small networks in place of the released ones, so that every method loads."""
     folder = save_all(tmp_path_factory.mktemp("weights"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(find_weights, "packaged_folder", lambda: folder)
@@ -49,37 +52,69 @@ def error(flow: Float32Array, truth: analytic.AnalyticPair, where: BoolMask) -> 
 # --- load ---
 
 
+WITH_CAMERA = sorted(
+    name for name in objectflow.METHODS if "camera" in {field.name for field in dataclasses.fields(find_class(name))}
+)
+
+
 @pytest.mark.parametrize("name", sorted(objectflow.METHODS))
 def test_every_method_of_the_table_loads(name: str) -> None:
     entry = objectflow.METHODS[name]
-    estimator = objectflow.load(name, camera="static")
-    assert type(estimator) is getattr(importlib.import_module(entry.module), entry.factory)
-    assert estimator.camera == "static"  # type: ignore[attr-defined]
+    estimator = objectflow.load(name)
+    assert type(estimator) is getattr(importlib.import_module(entry.module), entry.factory) is find_class(name)
+    assert isinstance(estimator, PairEstimator)
     assert entry.summary
+
+
+def test_methods_whose_result_depends_on_the_camera_have_its_option() -> None:
+    assert set(objectflow.METHODS) - set(WITH_CAMERA) == {"zero", "dense-flow"}
+    for name in WITH_CAMERA:
+        assert objectflow.load(name).camera == "auto"  # type: ignore[attr-defined]
+        assert objectflow.load(name, camera="static").camera == "static"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("camera", ["auto", "moving"])
+@pytest.mark.parametrize("name", ["rigidmatch", "sceneflownet-c-vl", "pd-flow", "consensus"])
+def test_a_moving_camera_needs_no_wrapper(name: str, camera: str) -> None:
+    """The settings and the parts of a method are accessible whatever the camera does."""
+    estimator = objectflow.load(name, camera=camera)
+    assert type(estimator) is find_class(name)
+    assert isinstance(estimator, PairEstimator)
+    assert estimator.camera == camera  # type: ignore[attr-defined]
+
+
+def test_the_settings_of_the_default_method_are_accessible_with_a_moving_camera() -> None:
+    settings = {"camera": "moving", "postprocess.merge.max_loss": "0.1", "threshold": 0.2}
+    estimator = objectflow.load("rigidmatch", **settings)
+    assert estimator.threshold == 0.2  # type: ignore[attr-defined]
+    assert estimator.postprocess.merge.max_loss == 0.1  # type: ignore[attr-defined]
+    assert estimator.weights.name == "rigidmatch.safetensors"  # type: ignore[attr-defined]
 
 
 def test_the_default_method_is_in_the_table() -> None:
     assert type(objectflow.load()) is type(objectflow.load(objectflow.DEFAULT_METHOD))
 
 
-def test_unknown_methods_and_options_list_the_choices() -> None:
+def test_unknown_methods_and_settings_list_the_choices() -> None:
     with pytest.raises(MethodError, match="unknown method 'dense-flaw': did you mean 'dense-flow'") as caught:
         objectflow.load("dense-flaw")
     assert all(name in str(caught.value) for name in objectflow.METHODS)
     with pytest.raises(MethodError, match="unknown method 'xyz': choose one of"):
         objectflow.load("xyz")
-    with pytest.raises(MethodError, match="method 'zero' has no option 'speed': it has camera"):
+    with pytest.raises(SettingsError, match="unknown setting speed: there are no settings here"):
         objectflow.load("zero", speed=3)
+    with pytest.raises(SettingsError, match=r"unknown setting tresh: did you mean threshold\? choose one of camera, "):
+        objectflow.load("rigidmatch", tresh=3)
 
 
-@pytest.mark.parametrize("name", sorted(objectflow.METHODS))
-def test_a_camera_that_is_no_choice_is_refused(name: str) -> None:
-    with pytest.raises(MethodError, match="camera must be auto, static or moving, not 'flying'"):
+@pytest.mark.parametrize("name", WITH_CAMERA)
+def test_a_camera_that_is_no_choice_is_rejected(name: str) -> None:
+    with pytest.raises(SettingsError, match="setting camera must be one of auto, static, moving, not 'flying'"):
         objectflow.load(name, camera="flying")
 
 
 @pytest.mark.parametrize("name", sorted(objectflow.METHODS))
-def test_frames_that_cannot_be_compared_are_refused(name: str) -> None:
+def test_frames_that_cannot_be_compared_are_rejected(name: str) -> None:
     pair, estimator = scene(0), objectflow.load(name)
     with pytest.raises(FrameError, match="both must have one size"):
         estimator(pair.prev.resized(160, 120), pair.curr)
@@ -88,10 +123,19 @@ def test_frames_that_cannot_be_compared_are_refused(name: str) -> None:
         estimator(other, pair.curr)
 
 
+@pytest.mark.parametrize("name", ["rigidmatch", "consensus", "sceneflownet-c-vl", "dense-flow", "zero"])
+def test_prepared_pairs_give_the_same_result_as_frames(name: str) -> None:
+    pair, estimator = scene(0), objectflow.load(name)
+    expected, found = estimator(pair.prev, pair.curr), estimate_pair(estimator, FramePair(pair.prev, pair.curr))
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(found.scene_flow, expected.scene_flow)
+    assert (found.method, expected.method) == (name, name)
+
+
 # --- zero and dense-flow ---
 
 
-def test_zero_says_that_nothing_moves() -> None:
+def test_zero_reports_no_motion() -> None:
     pair = scene(0)
     motion = objectflow.load("zero")(pair.prev, with_holes(pair.curr))
     measured = with_holes(pair.curr).valid
@@ -111,29 +155,29 @@ def test_flow_is_nan_exactly_where_depth_is_missing(name: str) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_dense_flow_beats_zero_on_what_moves_and_is_nearly_zero_on_what_does_not(seed: int) -> None:
+def test_dense_flow_beats_zero_on_moving_objects_and_is_nearly_zero_on_the_background(seed: int) -> None:
     pair = scene(seed)
     motion = objectflow.load("dense-flow")(pair.prev, pair.curr)
     seen = pair.visible & pair.curr.valid
     moving = seen & np.isin(pair.labels, list(pair.moving))
     flow, nothing = motion.scene_flow, np.zeros_like(motion.scene_flow)
     assert error(flow, pair, moving) < 0.6 * error(nothing, pair, moving)
-    still = np.linalg.norm(flow[seen & (pair.labels == 0)], axis=-1)
-    assert np.median(still) < 0.0005
+    static = np.linalg.norm(flow[seen & (pair.labels == 0)], axis=-1)
+    assert np.median(static) < 0.0005
     assert (motion.labels == 0).all()
 
 
-def test_dense_flow_of_a_pair_without_a_match_is_zero_where_depth_is() -> None:
+def test_dense_flow_of_a_pair_without_matches_is_zero_where_there_is_depth() -> None:
     camera = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
     color = np.zeros((48, 64, 3), np.uint8)
     left, right = np.zeros((48, 64), np.float32), np.zeros((48, 64), np.float32)
-    left[:, :5], right[:, -5:] = 1, 1  # no pixel is measured twice
+    left[:, :5], right[:, -5:] = 1, 1  # no pixel has depth in both frames
     motion = objectflow.load("dense-flow")(RgbdFrame(color, left, camera), RgbdFrame(color, right, camera))
     assert (motion.scene_flow[right > 0] == 0).all()
     assert np.isnan(motion.scene_flow[right == 0]).all()
 
 
-# --- correspondence ---
+# --- matching ---
 
 
 def sample(depth: Float32Array, *pixels: Sequence[float]) -> tuple[list[float], list[bool]]:
@@ -182,7 +226,7 @@ def test_lifted_matches_are_the_back_projected_points() -> None:
 
 
 def moved_picture(shift: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame, Float64Array]:
-    """A flat picture 1 m away that moved by whole pixels, as (prev, curr) and the shift in metres of curr to prev."""
+    """A flat picture at 1 m that moved by whole pixels: prev, curr, and the shift from curr to prev in metres."""
     rng = np.random.default_rng(0)
     big = np.kron(rng.integers(0, 256, (40, 50, 3)), np.ones((4, 4, 1))).astype(np.uint8)
     camera, depth = Camera(128, 96, 100.0, 100.0, 63.5, 47.5), np.ones((96, 128), np.float32)
@@ -194,7 +238,7 @@ def moved_picture(shift: tuple[int, int]) -> tuple[RgbdFrame, RgbdFrame, Float64
 
 def test_dense_flow_and_its_matches_find_a_known_shift() -> None:
     prev, curr, shift = moved_picture((3, -2))
-    flow, consistent = matching.dense_flow(matching.gray(prev.color), matching.gray(curr.color))
+    flow, consistent = matching.dense_flow(to_gray(prev.color), to_gray(curr.color))
     assert consistent[8:-8, 8:-8].mean() > 0.95
     np.testing.assert_allclose(np.median(flow[consistent], axis=0), [3, -2], atol=0.05)
     matches = matching.flow_matches(flow, consistent, prev, curr, stride=4)
@@ -203,7 +247,7 @@ def test_dense_flow_and_its_matches_find_a_known_shift() -> None:
     np.testing.assert_allclose(np.median(matches.prev - matches.curr, axis=0), shift, atol=0.001)
 
 
-def test_features_find_a_shift_that_is_too_long_for_small_steps() -> None:
+def test_features_find_a_large_shift() -> None:
     prev, curr, shift = moved_picture((18, -14))
     matches = matching.feature_matches(prev, curr)
     assert len(matches.pixels) >= 20
@@ -212,29 +256,24 @@ def test_features_find_a_shift_that_is_too_long_for_small_steps() -> None:
     assert (off < 0.01).mean() > 0.9
 
 
-def test_pictures_without_features_have_no_matches() -> None:
+def test_images_without_features_have_no_matches() -> None:
     prev, curr, _ = moved_picture((0, 0))
     plain = dataclasses.replace(prev, color=np.full_like(prev.color, 90))
     assert len(matching.feature_matches(plain, curr).pixels) == 0
     assert len(matching.feature_matches(curr, plain).pixels) == 0
 
 
-# --- noise ---
-
-
-def test_depth_noise_is_what_the_paper_measured() -> None:
-    np.testing.assert_allclose(depth_noise.depth_sigma(np.array([0.2, 0.4, 2.4])), [0.0012, 0.0012, 0.0088], atol=1e-6)
-    camera = Camera(128, 96, 100.0, 100.0, 63.5, 47.5)
-    expected = np.hypot(np.sqrt(2) * 0.0012, 0.5 * 0.4 / 100)
-    np.testing.assert_allclose(depth_noise.match_sigma(np.array([0.4]), camera, pixels=0.5), expected, rtol=1e-5)
-
-
 @pytest.mark.parametrize("size", [(1, 1), (8, 8), (3, 40), (11, 12)])
-@pytest.mark.parametrize("camera", ["auto", "moving"])
-@pytest.mark.parametrize("method", ["consensus", "dense-flow", "pd-flow"])
-def test_images_too_small_to_match_give_a_result(method: str, camera: str, size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        ("dense-flow", {}),
+        *((name, {"camera": camera}) for name in ("consensus", "pd-flow") for camera in ("auto", "moving")),
+    ],
+)
+def test_images_too_small_to_match_give_a_result(method: str, options: dict[str, str], size: tuple[int, int]) -> None:
     height, width = size
     noise = np.random.default_rng(0).integers(0, 255, (2, height, width, 3), dtype=np.uint8)
     lens = Camera(width, height, float(width), float(width), (width - 1) / 2, (height - 1) / 2)
     prev, curr = (RgbdFrame(color, np.ones(size, np.float32), lens) for color in noise)
-    assert objectflow.load(method, camera=camera)(prev, curr).labels.shape == size
+    assert objectflow.load(method, **options)(prev, curr).labels.shape == size

@@ -1,4 +1,4 @@
-"""Where weights are looked for: the package, a file, a folder, the hub; and what is said where there are none."""
+"""Where weights are searched: the package, a file, a folder, the hub; and the messages where there are none."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_packaged_weights_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyP
     objectflow.load(NAME)
 
 
-def test_a_folder_can_be_named_once_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_can_be_named_by_an_environment_variable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find_weights, "packaged_folder", lambda: tmp_path / "package")
     monkeypatch.setenv(find_weights.FOLDER_VARIABLE, str(tmp_path))
     path = save(tmp_path / f"{NAME}.safetensors")
@@ -51,7 +51,7 @@ def test_a_folder_can_be_named_once_for_all(tmp_path: Path, monkeypatch: pytest.
     assert find_weights.find_weights(NAME) == packaged
 
 
-def test_without_weights_the_message_says_how_to_get_some(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_message_without_weights_says_how_to_get_some(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(find_weights.HUB_VARIABLE, raising=False)
     monkeypatch.delenv(find_weights.FOLDER_VARIABLE, raising=False)
     monkeypatch.setattr(find_weights, "packaged_folder", lambda: tmp_path)
@@ -59,7 +59,7 @@ def test_without_weights_the_message_says_how_to_get_some(tmp_path: Path, monkey
         objectflow.load("sceneflownet-s")
 
 
-def test_a_folder_without_weights_says_what_it_looked_for(tmp_path: Path) -> None:
+def test_the_message_of_a_folder_without_weights_names_the_files(tmp_path: Path) -> None:
     with pytest.raises(MethodError, match=f"looked for {NAME}.safetensors, weights.safetensors"):
         objectflow.load(NAME, weights=tmp_path)
 
@@ -87,7 +87,7 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Callable[[Any], list[Any]]:
     return answer
 
 
-def test_the_hub_is_asked_for_the_methods_file(weights: Path, hub: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_methods_file_is_downloaded_from_the_hub(weights: Path, hub: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = hub(weights)
     objectflow.load(NAME, weights="hf://some/one@v2")
     monkeypatch.setenv(find_weights.HUB_VARIABLE, "some/other")
@@ -100,7 +100,7 @@ def test_the_hub_is_asked_for_the_methods_file(weights: Path, hub: Any, monkeypa
     ]
 
 
-def test_a_hub_that_has_nothing_is_one_line(hub: Any) -> None:
+def test_a_hub_without_the_file_gives_one_line(hub: Any) -> None:
     from huggingface_hub.errors import EntryNotFoundError
 
     hub(EntryNotFoundError("There is no such file.\nRequest ID: 7"))
@@ -108,11 +108,11 @@ def test_a_hub_that_has_nothing_is_one_line(hub: Any) -> None:
         objectflow.load(NAME, weights="hf://a/b")
 
 
-def test_a_hub_out_of_reach_is_one_line(
+def test_an_unreachable_hub_gives_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     constants = pytest.importorskip("huggingface_hub").constants
-    with socket.socket() as taken:  # bound and not listening: every connection is refused
+    with socket.socket() as taken:  # Bound but not listening: every connection is refused.
         taken.bind(("127.0.0.1", 0))
         monkeypatch.setattr(constants, "ENDPOINT", f"http://127.0.0.1:{taken.getsockname()[1]}")
         monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))

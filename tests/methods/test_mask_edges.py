@@ -1,4 +1,4 @@
-"""A disc before a wall, labelled on a quarter of the pixels: borders of the full image from its depth and colour."""
+"""A disc in front of a wall, labelled at a quarter of the width: borders follow the full image's depth and colour."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ import pytest
 
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.geometry.depth_noise import DepthNoise
 from objectflow.geometry.resample import nearest_indices
-from objectflow.methods.mask_edges import snap_to_edges
+from objectflow.methods.mask_edges import snap_to_edges, upsample_labels
 from objectflow.typing import LabelImage
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
 def disc(step: float, shade: int) -> tuple[RgbdFrame, LabelImage]:
-    """A frame with a disc that lies `step` metres before a wall and is so much brighter, and its true labels."""
+    """A frame with a disc `step` metres in front of a wall and brighter by `shade`, and its true labels."""
     v, u = np.mgrid[0:120, 0:160]
     labels = (np.hypot(u - 71.3, v - 58.8) < 33.4).astype(np.int32)
     depth = np.where(labels, 1.0 - step, 1.0).astype(np.float32)
@@ -24,7 +25,7 @@ def disc(step: float, shade: int) -> tuple[RgbdFrame, LabelImage]:
 
 
 def on_fewer_pixels(frame: RgbdFrame, labels: LabelImage) -> tuple[RgbdFrame, LabelImage]:
-    """The frame at 40x30, and labels of the full image that were found there."""
+    """The frame at 40x30, and labels found there, upsampled to the full image."""
     small = frame.resized(40, 30)
     down, back = nearest_indices((120, 160), (30, 40)), nearest_indices((30, 40), (120, 160))
     found = labels[down[0][:, None], down[1]]
@@ -43,7 +44,7 @@ def test_borders_follow_depth_or_colour(step: float, shade: int) -> None:
     assert iou(snap_to_edges(blocky, small, frame), true) > 0.99
 
 
-def test_where_nothing_shows_a_border_it_stays_within_a_pixel_of_the_smaller_image() -> None:
+def test_an_invisible_border_stays_within_a_pixel_of_the_smaller_image() -> None:
     frame, true = disc(0.0, 0)
     small, blocky = on_fewer_pixels(frame, true)
     changed = snap_to_edges(blocky, small, frame) != true
@@ -62,6 +63,32 @@ def test_pixels_without_depth_keep_their_label() -> None:
 
 
 @pytest.mark.parametrize("size", [(160, 120), (320, 240), (160, 60)])
-def test_labels_of_an_image_that_is_no_smaller_stay(size: tuple[int, int]) -> None:
+def test_labels_found_on_an_image_that_is_no_smaller_stay(size: tuple[int, int]) -> None:
     frame, true = disc(0.1, 60)
     assert snap_to_edges(true, frame.resized(*size), frame) is true
+
+
+def test_the_noise_decides_which_depth_step_is_a_border() -> None:
+    """A step of 1 cm is a border for a camera with 1 mm of noise, and none for one with 2 cm."""
+    frame, true = disc(0.01, 0)
+    small, blocky = on_fewer_pixels(frame, true)
+    precise, noisy = DepthNoise(base=0.001, growth=0.0), DepthNoise(base=0.02, growth=0.0)
+    assert iou(snap_to_edges(blocky, small, frame, precise), true) > 0.99
+    assert iou(snap_to_edges(blocky, small, frame, noisy), true) < 0.98
+
+
+def test_holes_that_one_object_encloses_are_labelled() -> None:
+    frame, true = disc(0.1, 60)
+    depth = frame.depth.copy()
+    depth[57:60, 70:73] = 0  # inside the disc
+    depth[57:60, 103:107] = 0  # across its border
+    depth[5:8, 5:8] = 0  # in the wall
+    holed = RgbdFrame(frame.color, depth, CAMERA)
+    small, _ = on_fewer_pixels(holed, true)
+    down = nearest_indices((120, 160), (30, 40))
+    labels = upsample_labels(true[down[0][:, None], down[1]], small, holed)
+    assert labels.dtype == np.int32
+    assert (labels[57:60, 70:73] == 1).all()
+    assert not labels[57:60, 103:107].any()
+    assert not labels[5:8, 5:8].any()
+    assert iou(np.where(depth > 0, labels, 0).astype(np.int32), np.where(depth > 0, true, 0).astype(np.int32)) > 0.99

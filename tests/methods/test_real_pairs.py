@@ -1,4 +1,4 @@
-"""`consensus` and `rigidmatch` on real pairs that lie beside the checkout; nothing of them is in the repository."""
+"""`consensus` and `rigidmatch` on real pairs beside the checkout, which are not part of the repository."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_one_box_moves_among_clutter(name: str) -> None:
     assert np.degrees(geometry.rotation_angle(obj.prev_T_curr[:3, :3] @ true[:3, :3].T)) < 3
 
 
-def test_nothing_moves_in_the_still_pair() -> None:
+def test_nothing_moves_in_the_static_pair() -> None:
     motion, _, _ = estimate("boxes_still")
     assert motion.objects == ()
     assert motion.camera_motion is None
@@ -67,7 +67,7 @@ def test_a_panning_camera_is_no_object() -> None:
 @pytest.mark.parametrize(
     ("name", "movers"), [("boxes_1", 1), ("boxes_2", 1), ("boxes_still", 0), ("bin_1", 2), ("bin_2", 2)]
 )
-def test_rigidmatch_finds_what_moves_and_nothing_else(name: str, movers: int) -> None:
+def test_rigidmatch_finds_exactly_the_moving_objects(name: str, movers: int) -> None:
     motion, truth, points = estimate(name, camera="moving" if "bin" in name else "auto", method="rigidmatch")
     found = [obj for obj in motion.objects if obj.moving]
     assert len(found) == movers
@@ -88,7 +88,7 @@ def test_rigidmatch_finds_what_moves_and_nothing_else(name: str, movers: int) ->
 def test_the_robot_is_one_moving_region(method: str) -> None:
     motion, _, _ = estimate("robot", method=method)
     assert len(motion.objects) == 1
-    # The robot fills these columns of the picture, from its base to its head.
+    # The robot covers these columns of the image, from its base to its head.
     rows, columns = np.nonzero(motion.labels)
     assert np.mean((columns > 300) & (columns < 490)) > 0.97
     assert rows.min() < 60

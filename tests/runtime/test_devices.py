@@ -1,6 +1,6 @@
-"""Everything that takes a device computes on it: nothing is left behind on the CPU, and nothing comes out otherwise.
+"""Everything that takes a device computes on it: no tensor stays on the CPU, and results agree.
 
-On a second device that only pretends to be one, since not every machine has a GPU; see `elsewhere`.
+The second device is simulated, since not every machine has a GPU; see `helpers.fake_device`.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ import pytest
 import torch
 
 import objectflow
-from helpers.elsewhere import ELSEWHERE, second_device
-from helpers.elsewhere import Tensor as There
+from helpers.fake_device import FAKE_DEVICE, FakeTensor, fake_device
 from helpers.small_networks import TINY_RIGID, save_all
 from helpers.training_runs import RECIPE, job, write_set
 from objectflow.dataset.batches import Batch
 from objectflow.evaluation.data.sources import open_set
 from objectflow.training import loop
 from objectflow.training.loop import train
+from objectflow.training.model_config import RigidMatchConfig
 from objectflow.training.recipe import Recipe
 
-DEVICE = ELSEWHERE.type
+DEVICE = FAKE_DEVICE.type
 
 
-def test_the_second_device_refuses_the_first_ones_tensors() -> None:
+def test_the_second_device_rejects_tensors_of_the_first() -> None:
     near = torch.arange(6.0).reshape(2, 3)
-    with second_device() as device:
+    with fake_device() as device:
         far = near.to(device)
-        assert isinstance(far, There)
+        assert isinstance(far, FakeTensor)
         assert far.device == device
-        assert isinstance(torch.zeros(3, device=device), There)
+        assert isinstance(torch.zeros(3, device=device), FakeTensor)
         assert torch.equal((2 * far @ far.T).cpu(), 2 * near @ near.T)
         assert torch.equal(far[:, torch.tensor([1])].cpu(), near[:, 1:2])
         assert torch.equal(far[:, [2, 0]].cpu(), near[:, [2, 0]])
@@ -54,7 +54,7 @@ def test_the_second_device_refuses_the_first_ones_tensors() -> None:
             far.numpy()
         layer = torch.nn.Linear(3, 1).to(device)
         layer(far).square().sum().backward()
-        assert isinstance(layer.weight.grad, There)
+        assert isinstance(layer.weight.grad, FakeTensor)
         with pytest.raises(RuntimeError, match="tensors of two devices"):
             layer(near)
 
@@ -82,12 +82,12 @@ def test_sr_flow() -> None:
 
 
 def agree(name: str, *, size: tuple[int, int] = (320, 240), **options: Any) -> None:
-    """A method says the same on the second device, but for the last digits, which some pixels' choices hang on."""
+    """A method gives the same result on the second device, up to rounding, which may change single pixels."""
     pairs = open_set("tiny")
     pair = pairs.pair(pairs.keys[0])
     prev, curr = pair.prev.resized(*size), pair.curr.resized(*size)
     here = objectflow.load(name, camera="static", device="cpu", **options)(prev, curr)
-    with second_device():
+    with fake_device():
         there = objectflow.load(name, camera="static", device=DEVICE, **options)(prev, curr)
     np.testing.assert_array_equal(there.labels, here.labels)
     error = np.abs(there.scene_flow - here.scene_flow)
@@ -96,30 +96,30 @@ def agree(name: str, *, size: tuple[int, int] = (320, 240), **options: Any) -> N
     assert np.nanmedian(error) < 1e-5
 
 
-RIGID = dataclasses.replace(RECIPE, variant="rigidmatch", rigid=TINY_RIGID, size=(48, 64))
+RIGID = dataclasses.replace(RECIPE, model=RigidMatchConfig(TINY_RIGID), size=(48, 64))
 RECIPES = {
     "the paper's network": RECIPE,
     "rigidmatch": RIGID,
     "windows and spheres": dataclasses.replace(
-        RIGID, rigid=dataclasses.replace(TINY_RIGID, matching="windowed", reach=3, objects="spheres")
+        RIGID, model=RigidMatchConfig(dataclasses.replace(TINY_RIGID, matching="windowed", reach=3, objects="spheres"))
     ),
 }
 
 
 @pytest.mark.filterwarnings("ignore:for .* copying from a non-meta parameter")
 @pytest.mark.parametrize("recipe", RECIPES.values(), ids=RECIPES)
-def test_training_and_going_on(recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_training_and_resuming(recipe: Recipe, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Augmentation, losses, optimiser, running mean, validation and checkpoints."""
 
     def carried(batches: Iterator[Batch], device: torch.device) -> Iterator[Batch]:
         return (batch.to(device) for batch in batches)
 
-    # Only to CUDA are batches carried ahead of time.
+    # Batches are prefetched to CUDA devices only.
     monkeypatch.setattr(loop, "on_device", carried)
     data = write_set(tmp_path / "set")
     recipe = dataclasses.replace(recipe, steps=2, validate_every=2, log_every=1, checkpoint_minutes=0.0)
     train(job(data, tmp_path / "here", recipe))
-    with second_device():
+    with fake_device():
         train(job(data, tmp_path / "there", recipe, device=DEVICE))
         newest = sorted((tmp_path / "there" / "checkpoints").iterdir())[-1]
         for file in newest.iterdir():

@@ -1,91 +1,139 @@
-"""How the static background moves in the camera's frame, and whether the camera moved at all."""
+"""The camera's motion, estimated as that of the static background, and whether the camera moved at all."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
-from objectflow.alignment.matching import PixelMatches
-from objectflow.frame import RgbdFrame
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import depth_sigma, match_sigma
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.geometry.resample import upsample_mask
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float64Array
 
 
+@dataclass(frozen=True)
+class CameraMotionSettings(Settings):
+    """RANSAC on matches, registration of the background, and the test against no motion."""
+
+    width: int = setting(640, minimum=16)
+    """Pixels: width at which the frames are matched."""
+    trials: int = setting(250, minimum=1)
+    """Minimal sets of three matches."""
+    judges: int = setting(500, minimum=12)
+    """Maximum number of matches on which a minimal set is scored."""
+    min_inliers: int = setting(12, minimum=3)
+    """Minimum number of matches that follow the camera's motion."""
+    max_points: int = setting(8000, minimum=6)
+    """Maximum number of points that are registered."""
+    static_shift_px: float = setting(0.7, minimum=0)
+    """Pixels: a median shift below this, together with `static_sigmas`, counts as no motion."""
+    static_sigmas: float = setting(3.0, minimum=0)
+    """Standard deviations of depth: see `static_shift_px`."""
+    min_gain_ratio: float = setting(2.0, minimum=0)
+    """The motion must reduce the squared errors of matches by this factor times what it adds to others."""
+
+
+DEFAULTS = CameraMotionSettings()
+
+
 def background_motion(
-    matches: PixelMatches,
-    target: registration.RegistrationTarget,
-    curr: RgbdFrame,
+    pair: FramePair,
     *,
     camera: str,
     rng: np.random.Generator,
+    mask: BoolMask | None = None,
+    settings: CameraMotionSettings = DEFAULTS,
 ) -> Float64Array | None:
     """`prev_T_curr` of the static background, or None for exactly no motion.
 
     Args:
-        matches: of the whole image.
-        target: the previous frame.
-        curr: the current frame.
-        camera: "static" is None at once; "moving" always estimates; "auto" estimates, and answers None unless
-            the motion stands out from the noise.
+        pair: the frames.
+        camera: "static" returns None at once, "moving" always estimates, "auto" estimates and returns None unless the
+            motion exceeds the noise.
         rng: draws the minimal sets.
+        mask: (H, W) bool of the current frame, of any size: what is background; everything when None.
+        settings: see there.
     """
     if camera == "static":
         return None
-    source = registration.make_source(curr, np.ones(curr.depth.shape, bool), limit=8000)
-    still = np.eye(4)
-    found = dominant_motion(matches, curr.camera, rng)
+    pair = pair.at_width(settings.width)
+    frame, matches = pair.curr.frame, pair.matches
+    region = np.ones(frame.depth.shape, bool)
+    if mask is not None:
+        matches, region = matches[inside(mask, matches, frame.camera)], upsample_mask(mask, frame.depth.shape)
+    source = pair.sources.take(region, limit=settings.max_points)
+    found = dominant_motion(matches, frame.camera, rng, noise=pair.noise, settings=settings)
     moved = None
     if found is not None:
         prev_T_curr, inliers = found
-        moved = registration.refine(target, source, prev_T_curr, matches=matches[inliers]).prev_T_curr
+        moved = registration.refine(pair.target, source, prev_T_curr, matches=matches[inliers]).prev_T_curr
     if camera == "moving":
-        return still if moved is None else moved
-    if moved is None or not _exceeds_noise(moved, matches, source, curr.camera):
+        return np.eye(4) if moved is None else moved
+    if moved is None or not _exceeds_noise(moved, matches, source, frame.camera, pair.noise, settings):
         return None
     return moved
 
 
 def dominant_motion(
-    matches: PixelMatches, camera: Camera, rng: np.random.Generator, *, trials: int = 250
+    matches: PixelMatches,
+    camera: Camera,
+    rng: np.random.Generator,
+    *,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    settings: CameraMotionSettings = DEFAULTS,
 ) -> tuple[Float64Array, BoolMask] | None:
-    """The rigid motion that most matches follow, by RANSAC on triplets, and who follows it; None without one."""
+    """The rigid motion that most matches follow, by RANSAC on triplets.
+
+    Returns:
+        (4, 4) `prev_T_curr` and (N,) bool, its inliers; None where too few matches agree.
+    """
     count = len(matches.curr)
-    if count < 12:
+    if count < settings.min_inliers:
         return None
-    sigma = match_sigma(matches.curr[:, 2], camera)
-    judges = rng.permutation(count)[:500]
-    triplets = rng.integers(0, count, (trials, 3))
+    sigma = noise.match_sigma(matches.curr[:, 2], camera)
+    judges = rng.permutation(count)[: settings.judges]
+    triplets = rng.integers(0, count, (settings.trials, 3))
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
-    # No motion is always among the candidates: in most scenes over a table it is the right one.
+    # No motion is always a candidate: with a camera over a table it is usually the right one.
     motions = np.concatenate([np.eye(4)[None], motions[determined]])
     squared = fitting.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
-    # MSAC: an inlier counts by how well it fits (Torr and Zisserman 2000).
+    # MSAC weighs an inlier by how well it fits (Torr and Zisserman 2000).
     best = int(np.minimum(squared, 9).sum(1).argmin())
     prev_T_curr = motions[best]
     for _ in range(3):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         inliers = error < 3 * sigma
-        if inliers.sum() < 12:
+        if inliers.sum() < settings.min_inliers:
             return None
-        prev_T_curr = fitting.fit_matches(matches[inliers], camera)[0]
+        prev_T_curr = fitting.fit_matches(matches[inliers], camera, noise=noise)[0]
     return prev_T_curr, inliers
 
 
 def _exceeds_noise(
-    moved: Float64Array, matches: PixelMatches, source: registration.RegistrationSource, camera: Camera
+    moved: Float64Array,
+    matches: PixelMatches,
+    source: registration.RegistrationSource,
+    camera: Camera,
+    noise: DepthNoise,
+    settings: CameraMotionSettings,
 ) -> bool:
     """Whether a background motion explains matches that no motion leaves unexplained, and more than it loses."""
     shift = np.linalg.norm(geometry.transform(moved, source.points) - source.points, axis=1)
     pixels = geometry.project(source.points, camera)
     carried = geometry.project(geometry.transform(moved, source.points), camera)
     slide = np.linalg.norm(carried - pixels, axis=1)
-    if np.nanmedian(slide) < 0.7 and np.median(shift / depth_sigma(source.points[:, 2])) < 3:
+    in_sigmas = np.median(shift / noise.sigma(source.points[:, 2]))
+    if np.nanmedian(slide) < settings.static_shift_px and in_sigmas < settings.static_sigmas:
         return False
-    sigma = match_sigma(matches.curr[:, 2], camera)
+    sigma = noise.match_sigma(matches.curr[:, 2], camera)
     with_motion = np.linalg.norm(geometry.transform(moved, matches.curr) - matches.prev, axis=1) / sigma
     without = np.linalg.norm(matches.curr - matches.prev, axis=1) / sigma
     won = np.maximum(np.minimum(without**2, 9) - np.minimum(with_motion**2, 9), 0).sum()
     lost = np.maximum(np.minimum(with_motion**2, 9) - np.minimum(without**2, 9), 0).sum()
-    return bool(won > 2 * lost)
+    return bool(won > settings.min_gain_ratio * lost)

@@ -11,27 +11,33 @@ from objectflow import geometry
 from objectflow.alignment.matching import PixelMatches
 from objectflow.alignment.registration import TUKEY
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import match_sigma
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 
 def fit_matches(
-    matches: PixelMatches, camera: Camera, *, weights: Float32Array | None = None, iterations: int = 8
+    matches: PixelMatches,
+    camera: Camera,
+    *,
+    weights: Float32Array | None = None,
+    iterations: int = 8,
+    noise: DepthNoise = STRUCTURED_LIGHT,
 ) -> tuple[Float64Array, BoolMask]:
-    """Trimmed weighted Kabsch: fit, drop what is further off than noise explains, fit again.
+    """The rigid motion of matches: Kabsch's fit, reweighted by Tukey's biweight.
 
     Args:
-        matches: at least three, from one object for the most part.
-        camera: its focal length turns pixels of matching error into metres.
+        matches: at least three, most of them from one object.
+        camera: its focal length converts the matching error from pixels to metres.
         weights: (N,) prior weights; ones when None.
-        iterations: at most this many fits.
+        iterations: maximum number of fits.
+        noise: of the depth.
 
     Returns:
-        (4, 4) `prev_T_curr`, and (N,) bool: the matches that it explains.
+        (4, 4) `prev_T_curr`, and (N,) bool: the inliers, within three standard deviations.
     """
     prior = np.ones(len(matches.curr)) if weights is None else weights.astype(np.float64)
-    sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
-    # Precise points count more, as maximum likelihood has it.
+    sigma = noise.match_sigma(matches.curr[:, 2], camera).astype(np.float64)
+    # Maximum likelihood weighs precise points more.
     precision = prior / sigma**2
     prev_T_curr = _rough_fit(matches, sigma, precision)
     for _ in range(iterations):
@@ -53,9 +59,9 @@ def fit_matches(
 
 
 def _rough_fit(matches: PixelMatches, sigma: Float64Array, precision: Float64Array, trials: int = 40) -> Float64Array:
-    """The best by truncated squares of the fit to all matches and the fits to triplets spread over them.
+    """The best, by truncated squares, of the fit to all matches and of fits to triplets.
 
-    The triplets step through the list at ever other strides, and need no random numbers.
+    Triplets step through the list with varying strides, so the result is deterministic.
     """
     count = len(matches.curr)
     trial = np.arange(trials)
@@ -71,7 +77,7 @@ def _rough_fit(matches: PixelMatches, sigma: Float64Array, precision: Float64Arr
 def squared_errors(
     motions: Float64Array, curr: NDArray[np.floating[Any]], prev: NDArray[np.floating[Any]]
 ) -> Float64Array:
-    """Squared distance of every point, carried by every motion, to its match.
+    """Squared distance of every point, moved by every motion, to its match.
 
     Args:
         motions: (K, 4, 4) `prev_T_curr`.
@@ -80,7 +86,7 @@ def squared_errors(
     Returns:
         (K, N) square metres.
     """
-    # Coordinates first: sums over the three of them are then sums of long rows.
+    # Coordinates come first, so that sums over them run along long rows.
     off = motions[:, :3, :3] @ curr.T.astype(np.float64) + (motions[:, :3, 3, None] - prev.T)
     off *= off
     return np.asarray(off[:, 0] + off[:, 1] + off[:, 2])

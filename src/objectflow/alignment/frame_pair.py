@@ -1,40 +1,69 @@
-"""A pair made ready for alignment once: matches between the frames, and both as `rigid.refine` wants them."""
+"""A pair of frames prepared once: matches between them and both as registration takes them, at any width."""
 
 from __future__ import annotations
 
 from functools import cached_property
 
-from objectflow.alignment import registration
-from objectflow.alignment.matching import PixelMatches, find_matches
-from objectflow.frame import RgbdFrame
+from objectflow.alignment.matching import PixelMatches, match_frames
+from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.alignment.registration import RegistrationSources, RegistrationTarget
+from objectflow.frame import RgbdFrame, check_pair
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 
 MATCH_WIDTH = 640
-"""Pixels: wider frames are narrowed to it first. More adds time, no exactness that the depth would bear."""
+"""Pixels: width at which frames are matched and registered. A larger one costs time, and depth is no more exact."""
+LIKELIHOOD_WIDTH = 320
+"""Pixels: width at which motions are judged and pixels assigned."""
+SEARCH_WIDTH = 160
+"""Pixels: width at which motions are searched."""
 
 
 class FramePair:
-    """What every step that aligns something asks of a pair; each thing is made when it is first asked for.
+    """Two frames and everything that the steps of a method compute from them.
 
     Attributes:
-        prev, curr: the frames.
-        prev_m, curr_m: the same, narrowed; what follows is theirs.
+        prev, curr: the frames, prepared.
+        noise: the noise of their depth, to which thresholds in metres relate.
+
+    Raises:
+        FrameError: the frames differ in size or intrinsics.
     """
 
-    def __init__(self, prev: RgbdFrame, curr: RgbdFrame, width: int = MATCH_WIDTH) -> None:
-        self.prev, self.curr = prev, curr
-        self.prev_small, self.curr_small = prev.downscaled_to_width(width), curr.downscaled_to_width(width)
+    def __init__(
+        self, prev: RgbdFrame | PreparedFrame, curr: RgbdFrame | PreparedFrame, *, noise: DepthNoise = STRUCTURED_LIGHT
+    ) -> None:
+        self.prev, self.curr = PreparedFrame.of(prev), PreparedFrame.of(curr)
+        check_pair(self.prev.frame, self.curr.frame)
+        self.noise = noise
+        self._at: dict[int, FramePair] = {}
+
+    def at_width(self, width: int) -> FramePair:
+        """The pair downscaled to a width in pixels; itself where it is no wider."""
+        if self.curr.frame.camera.width <= width:
+            return self
+        if width not in self._at:
+            self._at[width] = FramePair(self.prev.at_width(width), self.curr.at_width(width), noise=self.noise)
+        return self._at[width]
+
+    def with_noise(self, noise: DepthNoise) -> FramePair:
+        """The same prepared frames under another noise model."""
+        return self if noise == self.noise else FramePair(self.prev, self.curr, noise=noise)
+
+    def followed_by(self, frame: RgbdFrame) -> FramePair:
+        """The next pair of a sequence: this pair's current frame, prepared already, becomes the previous one."""
+        return FramePair(self.curr, frame, noise=self.noise)
 
     @cached_property
     def matches(self) -> PixelMatches:
-        """Between the frames."""
-        return find_matches(self.prev_small, self.curr_small)
+        """Matches between the frames, by optical flow and by features."""
+        return match_frames(self.prev, self.curr)
 
     @cached_property
-    def target(self) -> registration.RegistrationTarget:
-        """The previous frame."""
-        return registration.RegistrationTarget(self.prev_small)
+    def target(self) -> RegistrationTarget:
+        """The previous frame as the target of registration."""
+        return RegistrationTarget(self.prev, self.noise)
 
     @cached_property
-    def sources(self) -> registration.RegistrationSources:
-        """The current frame."""
-        return registration.RegistrationSources(self.curr_small)
+    def sources(self) -> RegistrationSources:
+        """The current frame, from which the points of an object are taken."""
+        return RegistrationSources(self.curr)

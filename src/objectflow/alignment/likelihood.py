@@ -1,46 +1,46 @@
-"""How badly a motion fits each pixel: by depth, by colour, and by how far the pixel is from what follows it."""
+"""How badly a motion fits each pixel, as a negative log-likelihood of depth and colour."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from objectflow import geometry
+from objectflow.alignment.appearance import AppearanceFeatures
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.depth_noise import depth_sigma
-from objectflow.typing import BoolMask, Float32Array, Float64Array, UInt8Array
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.settings import Settings, setting
+from objectflow.typing import BoolMask, Float32Array, Float64Array
 
 Box = tuple[slice, slice]
 EVERYWHERE: Box = (slice(None), slice(None))
 
-COST_FREE_SPACE_VIOLATION = 6.0
-"""The point would hang in front of what the previous frame saw there: it was not there."""
-COST_HIDDEN = 2.0
-"""The point would have been hidden: possible, but a motion that shows it is better."""
-HIDDEN_AT = 2.0
-"""Sigmas behind the surface seen in the previous frame."""
-COST_UNSEEN = 1.0
-"""Outside the previous image, or no depth there: says nothing for or against."""
+
+@dataclass(frozen=True)
+class LikelihoodSettings(Settings):
+    """Costs of the outcomes of comparing a pixel with the previous frame, in nats."""
+
+    width: int = setting(320, minimum=16)
+    """Pixels: wider frames are downscaled to it before motions are judged."""
+    free_space_violation: float = setting(6.0, above=0)
+    """A point in front of the surface that the previous frame measured there: impossible. The highest cost."""
+    hidden: float = setting(2.0, minimum=0)
+    """A point behind the measured surface: possible, but weaker evidence than a visible match."""
+    hidden_sigmas: float = setting(2.0, above=0)
+    """Standard deviations behind the measured surface from which a point counts as hidden."""
+    unseen: float = setting(1.0, minimum=0)
+    """A point outside the previous image or without depth there: no evidence."""
+    noise_factor: float = setting(1.4, above=0)
+    """Factor on the depth noise; 1.4 accounts for the noise of both frames."""
+    extra_noise: float = setting(0.001, minimum=0)
+    """Metres added to the standard deviation, for interpolation and registration of depth to colour."""
+    max_color: float = setting(2.0, minimum=0)
+    """Highest cost of a colour difference."""
 
 
-class AppearanceFeatures:
-    """A frame's colour, taken apart so that shadows count little: they travel with what casts them.
-
-    Attributes:
-        channels: texture (lightness less its local mean), lightness, and two colour-opponent channels (CIELAB).
-        contrast: of each channel around each pixel.
-    """
-
-    TOLERANCES = ((8.0, 0.35), (40.0, 0.35), (8.0, 0.35), (8.0, 0.35))
-    """For each channel: grey levels that cost 0.5, and how much of the local contrast comes on top."""
-
-    def __init__(self, color: UInt8Array) -> None:
-        lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
-        light = np.ascontiguousarray(lab[..., 0])
-        texture = light - cv2.GaussianBlur(light, (0, 0), 4)
-        self.channels = (texture, light, *(np.ascontiguousarray(lab[..., k]) for k in (1, 2)))
-        size = np.ones((3, 3))
-        self.contrast = tuple(cv2.dilate(channel, size) - cv2.erode(channel, size) for channel in self.channels)
+DEFAULTS = LikelihoodSettings()
 
 
 def motion_cost(
@@ -50,29 +50,32 @@ def motion_cost(
     appearance: tuple[AppearanceFeatures, AppearanceFeatures] | None,
     box: Box = EVERYWHERE,
     *,
-    blind: float | None = None,
+    out_of_view: float | None = None,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    settings: LikelihoodSettings = DEFAULTS,
 ) -> tuple[Float32Array, BoolMask]:
-    """How badly a motion fits each pixel, as a negative log-likelihood.
+    """Cost of each pixel under a motion.
 
     Args:
         prev: the previous frame.
-        points: (H, W, 3) of the current frame, at the same size.
-        prev_T_curr: the motion.
+        points: (H, W, 3) metres of the current frame, at the same size.
+        prev_T_curr: (4, 4) the motion.
         appearance: of the previous and the current frame; None leaves colour out.
-        box: rows and columns of the current frame to look at.
-        blind: cost of what the previous frame does not show, in place of `COST_HIDDEN` and `COST_UNSEEN`.
+        box: rows and columns of the current frame to evaluate.
+        out_of_view: cost of points that the previous frame does not show, in place of `hidden` and `unseen`.
+        noise: of the depth.
+        settings: the costs.
 
     Returns:
-        Both of the size of the box. (h, w) float32: 0 is a perfect fit, `COST_FREE_SPACE_VIOLATION` an impossible one;
-        pixels without depth get `COST_UNSEEN` or `blind`.
-        (h, w) bool: the pixel would have been hidden behind something.
+        Both of the size of the box. (h, w) float32: 0 is a perfect fit, `free_space_violation` an impossible one;
+        pixels without depth get `unseen` or `out_of_view`. (h, w) bool: whether the point would have been hidden.
     """
     camera = prev.camera
-    cost_hidden, cost_unseen = (COST_HIDDEN, COST_UNSEEN) if blind is None else (blind, blind)
+    hidden_cost, unseen_cost = (settings.hidden, settings.unseen) if out_of_view is None else (out_of_view,) * 2
     carried = geometry.transform(prev_T_curr, points[box])
     pixels = geometry.project(carried, camera)
     z = carried[..., 2]
-    sigma = 1.4 * depth_sigma(np.nan_to_num(z, nan=1.0)) + 0.001
+    sigma = settings.noise_factor * noise.sigma(np.nan_to_num(z, nan=1.0)) + settings.extra_noise
     with np.errstate(invalid="ignore"):
         inside = (
             (pixels[..., 0] > 0)
@@ -83,7 +86,7 @@ def motion_cost(
     u, v = np.where(inside, pixels[..., 0], 0), np.where(inside, pixels[..., 1], 0)
     u0, v0 = u.astype(np.int32), v.astype(np.int32)
     offset = np.full(z.shape, np.inf, np.float32)
-    # The best of the four neighbours: at a depth edge a mean of two surfaces would fit neither.
+    # The best of the four neighbours: at a depth edge, interpolated depth would lie on neither surface.
     for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
         seen = prev.depth[np.minimum(v0 + dv, camera.height - 1), np.minimum(u0 + du, camera.width - 1)]
         candidate = np.where(seen > 0, z - seen, np.inf)
@@ -92,21 +95,22 @@ def motion_cost(
     scaled = np.where(known, offset, 0) / sigma
     cost = 0.5 * np.minimum(scaled**2, 9)
     if appearance is not None:
-        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box)
-    # Behind what was seen there: at two sigma being hidden costs as much as a bad measurement would, and from there on
-    # it is the better reading. Just behind is odder than far behind: it takes a thin thing, or a misfit.
-    hidden = known & (scaled > HIDDEN_AT)
-    cost = np.where(scaled < -3, COST_FREE_SPACE_VIOLATION, np.where(hidden, cost_hidden + (scaled < 6), cost))
-    cost = np.where(known, np.minimum(cost, COST_FREE_SPACE_VIOLATION), cost_unseen).astype(np.float32)
+        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box, settings.max_color)
+    # At `hidden_sigmas` behind the surface, being hidden becomes more probable than a measurement error. Far behind is
+    # more probable than just behind, which takes a thin object or a wrong motion.
+    hidden = known & (scaled > settings.hidden_sigmas)
+    worst = settings.free_space_violation
+    cost = np.where(scaled < -3, worst, np.where(hidden, hidden_cost + (scaled < 6), cost))
+    cost = np.where(known, np.minimum(cost, worst), unseen_cost).astype(np.float32)
     return cost, hidden
 
 
 def motion_confidence(cost: Float32Array, gain: Float32Array) -> float:
-    """How sure it is that pixels follow a motion: the share that it explains, less where a rival explains them too.
+    """Confidence that pixels follow a motion: the share that it explains, less where a rival explains them as well.
 
     Args:
         cost: (N,) of the pixels under the motion.
-        gain: (N,) by how much more they cost under the rival.
+        gain: (N,) cost under the rival minus `cost`.
 
     Returns:
         0..1, to four digits.
@@ -116,12 +120,12 @@ def motion_confidence(cost: Float32Array, gain: Float32Array) -> float:
 
 
 def _color_cost(
-    prev: AppearanceFeatures, curr: AppearanceFeatures, u: Float32Array, v: Float32Array, box: Box
+    prev: AppearanceFeatures, curr: AppearanceFeatures, u: Float32Array, v: Float32Array, box: Box, limit: float
 ) -> Float32Array:
-    """Up to 2: the look at (u, v) in `prev` against the box' own; edges may be off by half a pixel."""
+    """Colour at (u, v) in `prev` compared with the box of `curr`; its tolerance allows for half a pixel at edges."""
     cost = np.zeros(u.shape, np.float32)
     for channel, (tolerance, slack) in enumerate(AppearanceFeatures.TOLERANCES):
         warped = cv2.remap(prev.channels[channel], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         own, contrast = curr.channels[channel][box], curr.contrast[channel][box]
         cost += ((warped - own) / (tolerance + slack * contrast)) ** 2
-    return np.asarray(np.minimum(0.5 * cost, 2), dtype=np.float32)
+    return np.asarray(np.minimum(0.5 * cost, limit), dtype=np.float32)

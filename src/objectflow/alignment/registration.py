@@ -1,4 +1,4 @@
-"""The rigid motion of one object: robust fit to matches, then refinement against the other frame's depth, colour."""
+"""Registration of an object to the previous frame: point-to-plane ICP with a colour term, and how well it fits."""
 
 from __future__ import annotations
 
@@ -10,37 +10,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.matching import PixelMatches, gray
+from objectflow.alignment.matching import PixelMatches
+from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import depth_sigma, match_sigma
-from objectflow.geometry.normals import surface_normals
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
 TUKEY = 4.685
-"""Tukey's biweight constant for 95% efficiency under Gaussian noise."""
+"""Constant of Tukey's biweight: 95% efficiency under Gaussian noise."""
+
+
+@dataclass(frozen=True)
+class RegistrationSettings(Settings):
+    """Convergence and weights of `refine`."""
+
+    iterations: int = setting(12, minimum=1)
+    """Maximum number of Gauss-Newton steps for each blur of the grey images."""
+    color_weight: float = setting(0.5, minimum=0)
+    """Weight of a grey residual relative to a depth residual; neighbouring grey levels are correlated."""
+    first_gate: float = setting(0.03, above=0)
+    """Metres: largest depth difference of a correspondence at the start, beside the noise."""
+    gate_decay: float = setting(0.7, above=0, maximum=1)
+    """Factor on the gate at every step."""
+    last_gate: float = setting(0.008, above=0)
+    """Metres: the gate never becomes smaller."""
+
+
+DEFAULTS = RegistrationSettings()
 
 
 class RegistrationTarget:
-    """The previous frame, made ready to be aligned with: points, normals, colour and its gradient.
+    """The previous frame as the target of registration: points, normals, grey levels and their gradient.
 
     Attributes:
         camera: the frame's camera.
+        noise: of its depth.
         points, normals: (H, W, 3) float32; NaN where there is no depth or no surface.
-        surface: (H W, 6) float32: points and normals once more, as rows that are fetched whole.
-        shades: (H, W, 3) float32 for each of `GRAY_BLURS`: grey levels, and their slopes du and dv a pixel.
+        surface: (H W, 6) float32: points and normals side by side, so that one gather fetches both.
+        shades: (H, W, 3) float32 for each blur: grey levels and their gradient per pixel along u and v.
     """
 
-    def __init__(self, prev: RgbdFrame) -> None:
-        self.camera = prev.camera
-        self.points = geometry.back_project(prev.depth, prev.camera)
-        self.normals = surface_normals(prev.depth, prev.camera)
+    def __init__(self, prev: RgbdFrame | PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> None:
+        prev = PreparedFrame.of(prev)
+        self.camera, self.noise = prev.frame.camera, noise
+        self.points, self.normals = prev.points, prev.normals
         self.surface = np.concatenate([self.points, self.normals], axis=-1).reshape(-1, 6)
-        self.shades = [_with_slopes(image) for image in blurred(prev)]
-
-
-GRAY_BLURS = (3.0, 1.0)
-"""Pixels of blur, coarse to fine: colour then pulls over several pixels first and is exact at the end."""
+        self.shades = [_with_gradient(image) for image in prev.blurred]
 
 
 class RegistrationSource(NamedTuple):
@@ -48,7 +65,7 @@ class RegistrationSource(NamedTuple):
 
     Attributes:
         points: (N, 3) float32 metres.
-        grays: one (N,) float32 for each of `GRAY_BLURS`.
+        grays: (N,) float32 grey levels for each blur.
     """
 
     points: Float32Array
@@ -57,13 +74,13 @@ class RegistrationSource(NamedTuple):
 
 @dataclass(frozen=True)
 class RegistrationResult:
-    """What `refine` returns.
+    """A registered motion and how well it fits.
 
     Attributes:
         prev_T_curr: (4, 4).
-        fitness: share of the points seen in `prev` that lie on its surface to within three sigma.
-        visible: share of the points that `prev` sees (not hidden, not outside, depth there).
-        inlier_rmse: root mean square distance to the surface of the explained points, metres.
+        fitness: share of the visible points that lie on the surface of `prev` to within three standard deviations.
+        visible: share of the points that `prev` shows: inside the image, with depth there, and not hidden.
+        inlier_rmse: metres: root mean square distance of the inliers to the surface.
     """
 
     prev_T_curr: Float64Array
@@ -73,19 +90,18 @@ class RegistrationResult:
 
 
 class RegistrationSources:
-    """The current frame, made ready to hand out the points of one object after the other."""
+    """The current frame, from which registration takes the points of an object."""
 
-    def __init__(self, curr: RgbdFrame) -> None:
-        self.valid = curr.valid
-        self.points = geometry.back_project(curr.depth, curr.camera)
-        self.grays = blurred(curr)
+    def __init__(self, curr: RgbdFrame | PreparedFrame) -> None:
+        curr = PreparedFrame.of(curr)
+        self.valid, self.points, self.grays = curr.valid, curr.points, curr.blurred
 
     def take(self, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
-        """The points of a mask, thinned evenly to at most `limit`.
+        """The points of a mask.
 
         Args:
             mask: (H, W) bool; pixels without depth are left out.
-            limit: refinement needs no more points than this to be as exact as the sensor.
+            limit: maximum number of points, sampled evenly; more do not make registration more exact.
         """
         rows, columns = np.nonzero(mask & self.valid)
         if len(rows) > limit:
@@ -94,21 +110,15 @@ class RegistrationSources:
         return RegistrationSource(self.points[rows, columns], tuple(image[rows, columns] for image in self.grays))
 
 
-def make_source(curr: RgbdFrame, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
-    """`RegistrationSources(curr).take(mask)`, where one object is all that is wanted."""
+def make_source(curr: RgbdFrame | PreparedFrame, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
+    """The points of one object; for several, `RegistrationSources` shares the work."""
     return RegistrationSources(curr).take(mask, limit=limit)
 
 
-def blurred(frame: RgbdFrame) -> list[Float32Array]:
-    """(H, W) float32 grey images, one for each of `GRAY_BLURS`."""
-    base = gray(frame.color).astype(np.float32)
-    return [np.asarray(cv2.GaussianBlur(base, (0, 0), sigma), dtype=np.float32) for sigma in GRAY_BLURS]
-
-
-def _with_slopes(image: Float32Array) -> Float32Array:
-    """(H, W) -> (H, W, 3): itself, and its slopes along u and v."""
-    slopes = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
-    return np.asarray(cv2.merge([image, *slopes]), dtype=np.float32)
+def _with_gradient(image: Float32Array) -> Float32Array:
+    """(H, W) -> (H, W, 3): the image and its gradient along u and v."""
+    gradient = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.asarray(cv2.merge([image, *gradient]), dtype=np.float32)
 
 
 def refine(
@@ -117,39 +127,38 @@ def refine(
     prev_T_curr: Float64Array,
     *,
     matches: PixelMatches | None = None,
-    iterations: int = 12,
-    color_weight: float = 0.5,
+    settings: RegistrationSettings = DEFAULTS,
 ) -> RegistrationResult:
-    """Projective point-to-plane ICP with a colour term, and matches as a third, by robust Gauss-Newton.
+    """Projective point-to-plane ICP with terms for colour and matches, by robust Gauss-Newton.
 
-    Minimises over a twist `x`, applied on the left: `sum w (n.(p - q) / s)^2 + c sum w ((I_prev - I_curr) / g)^2 +
+    It minimises over a twist `x`, applied on the left: `sum w (n.(p - q) / s)^2 + c sum w ((I_prev - I_curr) / g)^2 +
     sum w |p - m|^2 / d^2`, where p is a point carried to `prev`, q the surface point there, n its normal, m its match
     (Chen and Medioni 1992; the colour term as Steinbrucker et al. 2011).
 
     Args:
         target: the previous frame.
         source: the object's points in the current one.
-        prev_T_curr: where to start; the basin is a few centimetres and a few pixels.
-        matches: of this object, or None. They hold what a flat, dull surface leaves free.
-        iterations: for each of the two blurs.
-        color_weight: c; neighbouring pixels are alike, so one grey residual counts less than a depth one.
+        prev_T_curr: (4, 4) initial motion; the basin of convergence is a few centimetres and a few pixels.
+        matches: of this object, or None. They constrain the directions that a flat surface without texture leaves
+            free.
+        settings: convergence and weights; `color_weight` is c.
     """
     T = np.array(prev_T_curr, dtype=np.float64)
     if len(source.points) < 6:
         return RegistrationResult(T, 0.0, 0.0, float("inf"))
-    places = np.ascontiguousarray(source.points.T, dtype=np.float32)
+    points = np.ascontiguousarray(source.points.T, dtype=np.float32)
     for level, grays in enumerate(source.grays):
-        for iteration in range(iterations):
-            gate = max(0.03 * 0.7 ** (iteration + 4 * level), 0.008)
-            H, b = _normal_equations(target, target.shades[level], places, grays, T, gate, color_weight)
+        for iteration in range(settings.iterations):
+            gate = max(settings.first_gate * settings.gate_decay ** (iteration + 4 * level), settings.last_gate)
+            H, b = _normal_equations(target, target.shades[level], points, grays, T, gate, settings.color_weight)
             if matches is not None and len(matches.curr) >= 3:
-                H_m, b_m = _match_equations(matches, T, target.camera)
+                H_m, b_m = _match_equations(matches, T, target)
                 H, b = H + H_m, b + b_m
-            # Levenberg's damping relative to each axis' own curvature; directions that nothing sees stay put.
+            # Levenberg's damping, relative to the curvature of each axis; unconstrained directions stay unchanged.
             damping = 1e-4 * np.diag(H) + 1e-6 * np.trace(H) / 6 + 1e-9
             step = np.linalg.solve(H + np.diag(damping), -b)
             T = geometry.se3_exp(step) @ T
-            if np.abs(step).max() < 3e-5:  # 0.03 mm: far below what a depth camera resolves
+            if np.abs(step).max() < 3e-5:  # 0.03 mm: far below the resolution of a depth camera
                 break
     return evaluate_registration(target, source, T)
 
@@ -157,7 +166,7 @@ def refine(
 def _normal_equations(
     target: RegistrationTarget,
     shades: Float32Array,
-    places: Float32Array,
+    source: Float32Array,
     grays: Float32Array,
     T: Float64Array,
     gate: float,
@@ -168,19 +177,19 @@ def _normal_equations(
     Args:
         target: the previous frame.
         shades: one of its `shades`.
-        places: (3, N) the object's points; coordinates come first here, so that all arithmetic is on long rows.
-        grays: (N,) theirs, as blurred as the shades.
+        source: (3, N) the points of the object; coordinates come first, so that arithmetic runs along long rows.
+        grays: (N,) their grey levels, equally blurred.
         T: (4, 4) `prev_T_curr`.
-        gate: metres, beside the sensor's noise; farther away in depth lies another surface, or the object is hidden.
+        gate: metres: a larger depth difference, beyond the noise, belongs to another surface or a hidden point.
         color_weight: of the colour term.
     """
     camera = target.camera
-    points = T[:3, :3].astype(np.float32) @ places + T[:3, 3, None].astype(np.float32)
+    points = T[:3, :3].astype(np.float32) @ source + T[:3, 3, None].astype(np.float32)
     pixels, index, cell = _pixels_on_image(points, camera)
     found = target.surface.take(cell, axis=0).T
     points = points[:, index]
     offset = points - found[:3]
-    sigma = depth_sigma(points[2])
+    sigma = target.noise.sigma(points[2])
     along = (offset * found[3:]).sum(axis=0)
     used = np.flatnonzero((np.abs(offset[2]) < gate + 3 * sigma) & np.isfinite(along))
     p, n, sigma = points[:, used].astype(np.float64), found[3:, used].astype(np.float64), sigma[used]
@@ -202,7 +211,7 @@ def _normal_equations(
 
 
 def _pixels_on_image(points: Float32Array, camera: Camera) -> tuple[Float32Array, IndexArray, IndexArray]:
-    """(2, N) where points (3, N) fall, which of them lie on the image, and the numbers of those ones' pixels."""
+    """(2, N) pixels of points (3, N), indices of the points inside the image, and the flat indices of their pixels."""
     x, y, z = points
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         pixels = np.stack([x / z * np.float32(camera.fx), y / z * np.float32(camera.fy)])
@@ -213,10 +222,12 @@ def _pixels_on_image(points: Float32Array, camera: Camera) -> tuple[Float32Array
     return pixels, index, row[index].astype(np.intp) * camera.width + column[index].astype(np.intp)
 
 
-def _match_equations(matches: PixelMatches, T: Float64Array, camera: Camera) -> tuple[Float64Array, Float64Array]:
-    """The 6x6 system of the matches' own distances at T."""
+def _match_equations(
+    matches: PixelMatches, T: Float64Array, target: RegistrationTarget
+) -> tuple[Float64Array, Float64Array]:
+    """The 6x6 system of the distances between matches at T."""
     p = geometry.transform(T, matches.curr.astype(np.float64))
-    sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
+    sigma = target.noise.match_sigma(matches.curr[:, 2], target.camera).astype(np.float64)
     r = (p - matches.prev) / sigma[:, None]
     weight = _tukey(np.linalg.norm(r, axis=1))
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -geometry.hat(p)], axis=2) / sigma[:, None, None]
@@ -228,12 +239,12 @@ def _match_equations(matches: PixelMatches, T: Float64Array, camera: Camera) -> 
 def evaluate_registration(
     target: RegistrationTarget, source: RegistrationSource, T: Float64Array
 ) -> RegistrationResult:
-    """How well a motion explains the points that the previous frame sees; see `RegistrationResult`."""
+    """How well a motion fits the points that the previous frame shows; see `RegistrationResult`."""
     points = geometry.transform(T, source.points)
     _, index, cell = _pixels_on_image(points.T, target.camera)
     found, points = target.surface.take(cell, axis=0), points[index]
     offset = points - found[:, :3]
-    sigma = depth_sigma(points[:, 2])
+    sigma = target.noise.sigma(points[:, 2])
     seen = np.isfinite(offset[:, 2]) & (offset[:, 2] < 3 * sigma + 0.01)
     distance = np.abs((offset * found[:, 3:]).sum(-1))
     distance = np.where(np.isfinite(distance), distance, np.abs(offset[:, 2]))
@@ -249,7 +260,7 @@ def evaluate_registration(
 
 
 def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
-    """(3, N) x (3, N): np.cross in a third of the time, for a loop that lives on it."""
+    """(3, N) x (3, N): three times as fast as np.cross; the solver spends much of its time here."""
     (x, y, z), (u, v, w) = a, b
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 

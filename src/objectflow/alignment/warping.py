@@ -13,6 +13,7 @@ from objectflow.alignment import matching
 from objectflow.errors import GeometryError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.geometry.resample import sample_bilinear
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 _EMPTY = np.uint64(2**64 - 1)
@@ -63,7 +64,7 @@ def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: f
     with np.errstate(invalid="ignore"):
         visible = ok & (np.abs(points[..., 2] - measured) <= limit)
     color = np.zeros((*shape, 3), np.float32)
-    color[visible] = _bilinear(prev.color, pixels[visible.ravel()])
+    color[visible] = sample_bilinear(prev.color, pixels[visible.ravel()])
     return Warped(color=color, depth=np.where(visible, measured, np.float32(0)), visible=visible)
 
 
@@ -99,15 +100,3 @@ def splat(points: NDArray[Any], color: UInt8Array, camera: Camera) -> tuple[UInt
     image[filled] = color.reshape(-1, 3)[nearest]
     depth[filled] = flat[nearest, 2]
     return image.reshape(camera.height, camera.width, 3), depth.reshape(camera.height, camera.width)
-
-
-def _bilinear(image: UInt8Array, pixels: Float32Array) -> Float32Array:
-    """(H, W, C) at pixels (N, 2) as (u, v) that lie between pixel centres -> (N, C) float32."""
-    height, width, channels = image.shape
-    low = np.minimum(np.floor(pixels), np.array([max(0, width - 2), max(0, height - 2)], np.float32))
-    right, below = min(1, width - 1), width * min(1, height - 1)  # an image may be a single pixel wide
-    du, dv = (pixels - low).T[..., None]
-    first, values = low[:, 1].astype(np.int64) * width + low[:, 0].astype(np.int64), image.reshape(-1, channels)
-    a, b, c, d = (values.take(first + step, axis=0).astype(np.float32) for step in (0, right, below, below + right))
-    top, bottom = a + (b - a) * du, c + (d - c) * du
-    return np.asarray(top + (bottom - top) * dv, dtype=np.float32)

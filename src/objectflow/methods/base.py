@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from typing import Protocol
 
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
@@ -11,7 +13,7 @@ from objectflow.motion import SceneMotion
 
 
 class Estimator(Protocol):
-    """Two frames in, the motion of the scene out, on the pixels of `curr`."""
+    """Two frames in, the motion of the scene out, on the pixels of the current frame."""
 
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """Estimate the motion from `curr` back to `prev`.
@@ -19,6 +21,30 @@ class Estimator(Protocol):
         Raises:
             FrameError: the frames differ in size or intrinsics.
         """
+        ...
+
+
+class PairEstimator(ABC):
+    """Base of the methods: they work on a prepared pair, so that what one step computed serves the next."""
+
+    @abstractmethod
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """Estimate the motion between two prepared frames; see `Estimator`."""
+
+    def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
+        """Estimate several pairs; methods with a network evaluate it once for all of them."""
+        return [self.estimate(pair) for pair in pairs]
+
+    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        """See `Estimator`."""
+        return self.estimate(FramePair(prev, curr))
+
+
+def estimate_pair(estimator: Estimator, pair: FramePair) -> SceneMotion:
+    """The result of any estimator on a prepared pair; one that cannot use it is given the frames."""
+    if isinstance(estimator, PairEstimator):
+        return estimator.estimate(pair)
+    return estimator(pair.prev.frame, pair.curr.frame)
 
 
 def check_camera_option(camera: str) -> None:
@@ -29,12 +55,3 @@ def check_camera_option(camera: str) -> None:
     """
     if camera not in ("auto", "static", "moving"):
         raise MethodError(f"camera must be auto, static or moving, not {camera!r}")
-
-
-@runtime_checkable
-class AcceptsFramePair(Protocol):
-    """An estimator that spares itself what somebody else has prepared."""
-
-    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
-        """As the call of an `Estimator`."""
-        ...

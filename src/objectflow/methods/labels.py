@@ -1,4 +1,4 @@
-"""Label images: numbering and the flow of their rigid motions."""
+"""Label images: numbering, and the flow of the rigid motions of their objects."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from objectflow import geometry
 from objectflow.motion import ObjectMotion
 from objectflow.typing import Float32Array, LabelImage
 
+Objects = tuple[ObjectMotion, ...]
+"""Objects of one label image, in order of their ids."""
 
-def relabel_present(
-    labels: LabelImage, objects: tuple[ObjectMotion, ...]
-) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
-    """Count each object's pixels and number anew from 1: objects without pixels go, and labels without an object."""
+
+def relabel_present(labels: LabelImage, objects: Objects) -> tuple[LabelImage, Objects]:
+    """Number objects from 1 and count their pixels; drop objects without pixels and labels without an object."""
     counts = np.bincount(labels.ravel(), minlength=1 + max((obj.id for obj in objects), default=0))
     kept = [obj for obj in objects if counts[obj.id]]
     number = np.zeros(len(counts), np.int32)
@@ -23,6 +24,6 @@ def relabel_present(
     return number[labels], renamed
 
 
-def rigid_flow(objects: tuple[ObjectMotion, ...], labels: LabelImage, points: Float32Array) -> Float32Array:
-    """The flow that the objects' motions make; shapes as in `pixel_flow`."""
+def rigid_flow(objects: Objects, labels: LabelImage, points: Float32Array) -> Float32Array:
+    """(H, W, 3) metres: the flow of the objects' motions on points (H, W, 3); 0 off the objects, NaN without depth."""
     return geometry.flow_from_motions(points, labels, {obj.id: obj.prev_T_curr for obj in objects})

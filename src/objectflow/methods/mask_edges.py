@@ -1,4 +1,4 @@
-"""Labels of a reduced image, brought to the full one: nearest pixels, and borders that follow the full image."""
+"""Labels of a downscaled image brought to the full one, with borders that follow its depth and colour."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import cv2
 import numpy as np
 
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.depth_noise import depth_sigma
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import nearest_indices
 from objectflow.typing import LabelImage
 
 
-def upsample_labels(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> LabelImage:
-    """Bring labels to the full image: near borders each pixel asks the small pixels around it that look like it.
+def upsample_labels(
+    labels: LabelImage, small: RgbdFrame, full: RgbdFrame, noise: DepthNoise = STRUCTURED_LIGHT
+) -> LabelImage:
+    """Upsample labels; near borders, each pixel takes the label of nearby small pixels with similar depth and colour.
 
     Args:
         labels: (h, w) on `small`.
-        small: the reduced frame.
-        full: the frame as given.
+        small: the downscaled frame.
+        full: the frame itself.
+        noise: of its depth.
 
     Returns:
-        (H, W) int32 on `full`; 0 where depth is missing, but for holes inside an object.
+        (H, W) int32 on `full`; 0 where depth is missing, except for holes inside an object.
     """
     height, width = full.depth.shape
     h, w = labels.shape
@@ -35,7 +38,7 @@ def upsample_labels(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> La
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
                 yy, xx = np.clip(rows[y] + dy, 0, h - 1), np.clip(columns[x] + dx, 0, w - 1)
-                gap = np.abs(full.depth[y, x] - small.depth[yy, xx]) / (3 * depth_sigma(full.depth[y, x]) + 0.002)
+                gap = np.abs(full.depth[y, x] - small.depth[yy, xx]) / (3 * noise.sigma(full.depth[y, x]) + 0.002)
                 change = np.abs(full.color[y, x].astype(np.float32) - small.color[yy, xx]).mean(-1) / 20
                 closeness = 1.0 if dx == dy == 0 else 0.6
                 vote = closeness * np.exp(-(np.minimum(gap, 6) ** 2) / 2 - np.minimum(change, 6) ** 2 / 2)
@@ -45,26 +48,29 @@ def upsample_labels(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> La
     return _fill_holes(out, full)
 
 
-def snap_to_edges(labels: LabelImage, small: RgbdFrame, full: RgbdFrame) -> LabelImage:
-    """Let labels that were found on a smaller image end where depth and colour of the full one do.
+def snap_to_edges(
+    labels: LabelImage, small: RgbdFrame, full: RgbdFrame, noise: DepthNoise = STRUCTURED_LIGHT
+) -> LabelImage:
+    """Align the borders of labels that were found on a smaller image with the depth and colour of the full one.
 
     Args:
-        labels: (H, W) int32 on `full`, each pixel as the nearest of `small` has it.
-        small: the frame that they were found on.
+        labels: (H, W) int32 on `full`, upsampled by nearest pixels.
+        small: the frame on which they were found.
         full: the frame itself.
+        noise: of its depth.
 
     Returns:
-        (H, W) int32. Pixels without depth keep their label, and so do all where `small` is no smaller.
+        (H, W) int32. Pixels without depth keep their label, as do all pixels where `small` is no smaller.
     """
     if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
         return labels
     rows, columns = nearest_indices(labels.shape, small.depth.shape)
-    sharp = upsample_labels(labels[rows[:, None], columns], small, full)
+    sharp = upsample_labels(labels[rows[:, None], columns], small, full, noise)
     return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
 def _fill_holes(labels: LabelImage, full: RgbdFrame) -> LabelImage:
-    """Missing depth that lies wholly inside one object belongs to it."""
+    """Label holes in the depth that one object encloses."""
     count, numbers, boxes, _ = cv2.connectedComponentsWithStats((~full.valid).astype(np.uint8), connectivity=4)
     for number in range(1, count):
         x, y, w, h, area = boxes[number]

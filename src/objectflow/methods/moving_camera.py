@@ -1,15 +1,18 @@
-"""A moving camera for methods that are made for a still one.
+"""Compensation of the camera's motion, for methods that assume a static camera.
 
-The background's motion is estimated first; the previous frame is rendered as the current camera would have seen it,
-the method is given two frames of one static camera, and its motions are carried back to where the camera really was.
+The background's motion is estimated first. The previous frame is rendered as the current camera would have seen it,
+the method is given two frames of one static camera, and its motions are composed with that of the camera.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -17,99 +20,156 @@ from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment import warping
-from objectflow.alignment.camera_motion import background_motion
+from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.moved import STATIC_DISPLACEMENT, is_moving
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.alignment.measured_noise import measure_depth_noise
+from objectflow.errors import MethodError
+from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import depth_sigma
-from objectflow.methods.base import AcceptsFramePair, Estimator, check_camera_option
+from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
+from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
+from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
 
 SCALE_ERROR = 0.1
-"""Of the way that the camera went past an object: a depth camera's scale is off by some percent, and what that makes
-of the camera's own motion is no object's motion."""
+"""Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by a
+few percent, and so is the estimated motion of the camera."""
 
 
 @dataclass(frozen=True)
-class MovingCamera:
-    """An estimator for a still camera, made fit for a moving one.
+class CompensationConfig(Settings):
+    """The settings of methods that assume a static camera."""
 
-    Attributes:
-        estimator: the method; it is called with frames of one camera pose.
-        camera: "static" calls the method as it is, "moving" always compensates, "auto" only if the background's
-            motion stands out from the noise.
-        seed: of the random minimal sets.
-    """
+    camera: Literal["auto", "static", "moving"] = "auto"
+    """static: the camera stood still. moving: its motion is always compensated. auto: it is compensated where the
+    background's motion exceeds the noise."""
+    seed: int = setting(0, minimum=0)
+    """Seed of the random minimal sets of the camera's motion."""
+    depth_noise: DepthNoiseName = "structured-light"
+    """Noise model of the depth camera; measured: fitted to each pair."""
+    camera_motion: CameraMotionSettings = CameraMotionSettings()
 
-    estimator: Estimator
-    camera: str = "auto"
-    seed: int = 0
 
-    def __post_init__(self) -> None:
-        check_camera_option(self.camera)
+class _Compensated(NamedTuple):
+    """A pair before a static camera, None where no point of the previous frame is in view; and the camera's motion."""
+
+    pair: FramePair | None
+    prev_T_curr: Float64Array | None
+
+
+@dataclass(frozen=True)
+class StaticCameraEstimator(CompensationConfig, PairEstimator):
+    """Base of methods that assume a static camera: makes them work before a moving one."""
+
+    @abstractmethod
+    def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
+        """The motions of pairs from a static camera."""
+
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`. `camera_motion` of the result is set where the camera was found to move."""
+        return self.estimate_batch([pair])[0]
+
+    def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
+        """Estimate several pairs; their seconds are shared equally.
+
+        Args:
+            pairs: frames of any size; those of one size are evaluated together.
+        """
+        start = time.perf_counter()
+        pairs = list(pairs)
+        ready = [self._compensate(pair) for pair in pairs]
+        static = iter(self.estimate_static([one.pair for one in ready if one.pair is not None]))
+        motions = []
+        for pair, one in zip(pairs, ready, strict=True):
+            motion = _camera_alone(pair, one.prev_T_curr) if one.pair is None else next(static)
+            if one.pair is not None and one.prev_T_curr is not None:
+                motion = compose(motion, pair.curr.points, one.prev_T_curr)
+            motions.append(motion)
+        seconds = (time.perf_counter() - start) / max(1, len(pairs))
+        return [dataclasses.replace(motion, seconds=seconds, settings=self.to_dict()) for motion in motions]
+
+    def _compensate(self, pair: FramePair) -> _Compensated:
+        """The pair as a static camera would have seen it, with the noise of its depth."""
+        pair = pair.with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT))
+        prev_T_curr = find_camera_motion(pair, camera=self.camera, seed=self.seed, settings=self.camera_motion)
+        if self.depth_noise == "measured":
+            pair = pair.with_noise(measure_depth_noise(pair, prev_T_curr))
+        if prev_T_curr is None:
+            return _Compensated(pair, None)
+        seen = as_seen_from(pair.prev.frame, prev_T_curr, pair.curr.frame.camera, pair.noise)
+        return _Compensated(None if seen is None else FramePair(seen, pair.curr, noise=pair.noise), prev_T_curr)
+
+
+@dataclass(frozen=True)
+class MovingCamera(StaticCameraEstimator):
+    """Any estimator that assumes a static camera, made to work before a moving one."""
+
+    estimator: Estimator | None = None
+    """It is called with frames from one camera pose."""
 
     @property
     def weights(self) -> Path | None:
-        """The file of the method's weights, if it has some."""
+        """The file of the estimator's weights, if it has any."""
         found: Path | None = getattr(self.estimator, "weights", None)
         return found
 
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`. `camera_motion` is set where the camera was found to move."""
-        start = time.perf_counter()
-        check_pair(prev, curr)
-        pair = FramePair(prev, curr)
-        prev_T_curr = find_camera_motion(pair, camera=self.camera, seed=self.seed)
-        if prev_T_curr is None:
-            still = _call(self.estimator, prev, curr, pair)
-            return dataclasses.replace(still, seconds=time.perf_counter() - start)
-        seen = as_seen_from(prev, prev_T_curr, curr.camera)
-        if seen is None:
-            # Nothing of the previous frame lies in the current view: all that can be told is how the camera moved.
-            points = geometry.back_project(curr.depth, curr.camera)
-            labels = np.zeros(curr.depth.shape, np.int32)
-            flow = geometry.flow_from_motions(points, labels, {}, prev_T_curr)
-            still = SceneMotion(labels, flow, camera_motion=prev_T_curr)
-        else:
-            still = compose(self.estimator(seen, curr), curr, prev_T_curr)
-        return dataclasses.replace(still, seconds=time.perf_counter() - start)
+    def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
+        """See `StaticCameraEstimator`."""
+        estimator = self.estimator
+        if estimator is None:
+            raise MethodError("MovingCamera needs an estimator: MovingCamera(estimator=...)")
+        return [estimate_pair(estimator, pair) for pair in pairs]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The settings of the compensation and, where it has any, those of the estimator."""
+        inner: dict[str, Any] = self.estimator.to_dict() if isinstance(self.estimator, Settings) else {}
+        own = {name: value for name, value in super().to_dict().items() if name != "estimator"}
+        return {**inner, **own}
 
 
-def _call(estimator: Estimator, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
-    """The estimator's answer, sooner where it can use what is ready."""
-    return estimator.estimate(prev, curr, pair) if isinstance(estimator, AcceptsFramePair) else estimator(prev, curr)
-
-
-def find_camera_motion(pair: FramePair, *, camera: str = "auto", seed: int = 0) -> Float64Array | None:
+def find_camera_motion(
+    pair: FramePair, *, camera: str = "auto", seed: int = 0, settings: CameraMotionSettings | None = None
+) -> Float64Array | None:
     """`prev_T_curr` of the static background.
 
     Args:
         pair: the frames.
-        camera: "moving" always answers, "auto" answers None unless the motion stands out, "static" is None.
+        camera: "moving" always estimates, "auto" returns None unless the motion exceeds the noise, "static" is None.
         seed: of the random minimal sets.
+        settings: see there; the defaults when None.
     """
     if camera == "static":
         return None
     rng = np.random.default_rng(seed)
-    return background_motion(pair.matches, pair.target, pair.curr_small, camera=camera, rng=rng)
+    return background_motion(pair, camera=camera, rng=rng, settings=settings or CameraMotionSettings())
 
 
-def as_seen_from(prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera) -> RgbdFrame | None:
-    """The previous frame rendered from the current camera's place.
+def _camera_alone(pair: FramePair, prev_T_curr: Float64Array | None) -> SceneMotion:
+    """The result where nothing of the previous frame is in view: the camera's motion and no objects."""
+    points = pair.curr.points
+    labels = np.zeros(points.shape[:2], np.int32)
+    return SceneMotion(labels, geometry.flow_from_motions(points, labels, {}, prev_T_curr), camera_motion=prev_T_curr)
 
-    Points are thrown into the view, cracks between them closed, and colour and depth then read from the previous image
-    where each pixel's point lies in it, so that neither is coarser than the original. What the previous camera did not
-    see stays without depth; its colour is that of the nearest surface.
+
+def as_seen_from(
+    prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera, noise: DepthNoise = STRUCTURED_LIGHT
+) -> RgbdFrame | None:
+    """The previous frame rendered from the pose of the current camera.
+
+    Points are splatted into the view and cracks between them closed; colour and depth are then sampled from the
+    previous image at each pixel's point, so that neither is coarser than the original. Pixels that the previous camera
+    did not see have no depth and the colour of the nearest surface.
 
     Args:
         prev: the previous frame.
         prev_T_curr: the camera's motion, as the background's.
         camera: of the current frame.
+        noise: of the depth.
 
     Returns:
-        A frame on `camera`'s pixels, or None if no point falls into its view.
+        A frame on `camera`'s pixels, or None if no point lies in its view.
     """
     curr_T_prev = geometry.inverse(prev_T_curr)
     points = geometry.transform(curr_T_prev, geometry.back_project(prev.depth, prev.camera))
@@ -118,9 +178,9 @@ def as_seen_from(prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera) -> 
         return None
     closed = _close_cracks(thrown)
     in_prev = geometry.transform(prev_T_curr, geometry.back_project(closed, camera))
-    tolerance = 3 * depth_sigma(closed) + 0.02 * closed + 1e-6
+    tolerance = 3 * noise.sigma(closed) + 0.02 * closed + 1e-6
     sampled = warping.warp_previous(prev, in_prev, tolerance=tolerance)
-    # Along the ray of `in_prev`, to the depth that the previous camera measured there.
+    # Along the ray of `in_prev`, at the depth that the previous camera measured there.
     with np.errstate(invalid="ignore", divide="ignore"):
         measured = in_prev * (sampled.depth / in_prev[..., 2])[..., None]
     exact = geometry.transform(curr_T_prev, measured)[..., 2]
@@ -132,45 +192,43 @@ def as_seen_from(prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera) -> 
 
 
 def _close_cracks(depth: Float32Array) -> Float32Array:
-    """Depth with gaps of a pixel or two, between points of one surface, filled from their rims."""
+    """Depth with gaps of one or two pixels between points of one surface filled from their rims."""
     nearness = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     closed = cv2.morphologyEx(nearness, cv2.MORPH_CLOSE, np.ones((3, 3)))
-    # Also where a farther surface shines through a crack: it would take its colour there.
+    # Cracks through which a farther surface is visible are closed too; they would take its colour.
     crack = (closed > 0) & (nearness < 0.95 * closed)
     return np.where(crack, 1 / np.maximum(closed, 1e-6), depth).astype(np.float32)
 
 
-def compose(still: SceneMotion, curr: RgbdFrame, prev_T_curr: Float64Array) -> SceneMotion:
-    """Carry motions between two frames of one camera pose back to the camera that moved.
+def compose(static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array) -> SceneMotion:
+    """Compose motions before a static camera with the motion of the camera.
 
-    What moved less than the camera's own way may feign is no longer said to move.
+    Objects that moved by less than the error of the camera's motion count as static.
 
     Args:
-        still: motions from `curr` to the previous moment, as the current camera would have seen it.
-        curr: the current frame.
+        static: motions from the current frame to the previous one as the current camera would have seen it.
+        points: (H, W, 3) metres of the current frame.
         prev_T_curr: the camera's motion.
 
     Returns:
-        Motions from `curr` to the previous camera; the background moves with the camera.
+        Motions from the current frame to the previous camera; the background moves with the camera.
     """
-    points = geometry.back_project(curr.depth, curr.camera)
-    flow = geometry.transform(prev_T_curr, points + still.scene_flow) - points
+    flow = geometry.transform(prev_T_curr, points + static.scene_flow) - points
     objects = tuple(
         dataclasses.replace(
             obj,
             prev_T_curr=prev_T_curr @ obj.prev_T_curr,
             moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr),
         )
-        for obj in still.objects
+        for obj in static.objects
     )
     return dataclasses.replace(
-        still, scene_flow=flow.astype(np.float32), objects=objects, camera_motion=np.asarray(prev_T_curr)
+        static, scene_flow=flow.astype(np.float32), objects=objects, camera_motion=np.asarray(prev_T_curr)
     )
 
 
 def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array) -> bool:
-    """Whether an object's own motion is more than the error of the camera's."""
-    passed = np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center)
-    return bool(
-        is_moving(obj.prev_T_curr[:3, :3], obj.translation, max(STATIC_DISPLACEMENT, SCALE_ERROR * float(passed)))
-    )
+    """Whether an object's own motion exceeds the error of the camera's."""
+    passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
+    tolerance = max(STATIC_DISPLACEMENT, SCALE_ERROR * passed)
+    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance))

@@ -1,28 +1,24 @@
-"""The one interface of every method, and `load("name")`."""
+"""The methods by their names, and `load`."""
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import importlib
 from typing import Any, NamedTuple, cast
 
 from objectflow.errors import MethodError
-from objectflow.methods.base import Estimator, check_camera_option
+from objectflow.methods.base import PairEstimator
+from objectflow.settings import build
 
 DEFAULT_METHOD = "rigidmatch"
 
 
 class MethodEntry(NamedTuple):
-    """Where a method lives; its class is a dataclass whose fields are the options of `load`.
-
-    `assumes_static_camera`: the method assumes a static camera; for a moving one, `load` wraps it in `MovingCamera`.
-    """
+    """A method: one line about it, its module, and its class there, a dataclass whose fields are the settings."""
 
     summary: str
     module: str
     factory: str
-    assumes_static_camera: bool = False
 
 
 METHODS: dict[str, MethodEntry] = {
@@ -30,7 +26,6 @@ METHODS: dict[str, MethodEntry] = {
         "global matching, objects as a set, motions by solving, checked against the frames; weights come with it",
         "objectflow.methods.rigidmatch.estimator",
         "RigidMatchEstimator",
-        assumes_static_camera=True,
     ),
     "consensus": MethodEntry(
         "training-free: rigid motions by consensus of matched points, refined against the depth",
@@ -46,7 +41,6 @@ METHODS: dict[str, MethodEntry] = {
         "Jaimez et al. 2015: dense variational flow of brightness and depth; flow only, no objects",
         "objectflow.methods.baselines.pd_flow.estimator",
         "PdFlow",
-        assumes_static_camera=True,
     ),
     "vo-sf": MethodEntry(
         "Jaimez et al. 2017: geometric clusters, static or moving, with a rigid motion each",
@@ -67,19 +61,16 @@ METHODS: dict[str, MethodEntry] = {
         "the paper's network with correlation and all losses; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetCVL",
-        assumes_static_camera=True,
     ),
     "sceneflownet-c": MethodEntry(
         "the same without the variance and violation losses; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetC",
-        assumes_static_camera=True,
     ),
     "sceneflownet-s": MethodEntry(
         "the paper's simple network, without correlation; needs weights",
         "objectflow.methods.sceneflownet.estimator",
         "SceneFlowNetS",
-        assumes_static_camera=True,
     ),
     "zero": MethodEntry(
         "nothing moves: the row that every method must beat", "objectflow.methods.baselines.zero", "Zero"
@@ -87,32 +78,31 @@ METHODS: dict[str, MethodEntry] = {
 }
 
 
-def load(name: str = DEFAULT_METHOD, **options: Any) -> Estimator:
+def load(name: str = DEFAULT_METHOD, **settings: Any) -> PairEstimator:
     """Make an estimator by its name.
 
     Args:
         name: one of `METHODS`.
-        **options: the method's own settings; `camera` ("auto", "static" or "moving") is known to every method. For
-            methods made for a still camera, another one's motion is found and taken out first: see `MovingCamera`.
+        **settings: of the method, by field; nested ones as mappings, as settings objects, or by dotted paths, such as
+            `**{"postprocess.merge.max_loss": 0.1}`. Every method whose result depends on it has `camera`: "auto",
+            "static" or "moving".
 
     Raises:
-        MethodError: an unknown name (the message lists the choices), or an option or a value that it does not have.
+        MethodError: an unknown name; the message lists the choices.
+        SettingsError: a setting that the method does not have, or a value that it cannot have.
+    """
+    return build(find_class(name), settings)
+
+
+def find_class(name: str) -> type[PairEstimator]:
+    """The class of a method; its fields are the method's settings.
+
+    Raises:
+        MethodError: an unknown name; the message lists the choices.
     """
     if name not in METHODS:
         near = difflib.get_close_matches(name, METHODS, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise MethodError(f"unknown method {name!r}: {hint}choose one of {', '.join(sorted(METHODS))}")
     entry = METHODS[name]
-    factory = getattr(importlib.import_module(entry.module), entry.factory)
-    known = [field.name for field in dataclasses.fields(factory) if field.init]
-    unknown = sorted(set(options) - set(known))
-    if unknown:
-        raise MethodError(f"method {name!r} has no option {unknown[0]!r}: it has {', '.join(known)}")
-    camera = options.get("camera", "auto")
-    if not entry.assumes_static_camera or camera == "static":
-        return cast(Estimator, factory(**options))
-    check_camera_option(camera)
-    # Imported here: it is made of estimators.
-    from objectflow.methods.moving_camera import MovingCamera
-
-    return MovingCamera(factory(**{**options, "camera": "static"}), camera=camera)
+    return cast(type[PairEstimator], getattr(importlib.import_module(entry.module), entry.factory))

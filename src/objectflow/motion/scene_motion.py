@@ -1,80 +1,22 @@
-"""`ObjectMotion` and `SceneMotion`: what comes out, with a folder form that round-trips."""
+"""`SceneMotion`: the motion of a whole scene, the result of every method."""
 
 from __future__ import annotations
 
-import json
-import tokenize
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from objectflow import geometry
-from objectflow.errors import ReaderError, ResultError
+from objectflow.errors import ResultError
+from objectflow.frame import RgbdFrame
+from objectflow.motion import export, result_folder
+from objectflow.motion.object_motion import ObjectMotion
+from objectflow.motion.picture import to_html
 from objectflow.storage import files
-from objectflow.storage.images import read_image
-from objectflow.typing import Float32Array, Float64Array, LabelImage
-
-# What broken JSON and .npy files make their parsers raise: numbers without end, brackets that never close, a header
-# that is no Python or asks for more memory than there is.
-_BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    EOFError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
-    SyntaxError,
-    tokenize.TokenError,
-)
-
-
-@dataclass(frozen=True, eq=False)
-class ObjectMotion:
-    """One object and its rigid motion from the current frame back to the previous one.
-
-    Attributes:
-        id: its value in `SceneMotion.labels`, from 1.
-        pixels: how many pixels carry it.
-        score: 0..1, how sure the method is that this is one rigid object with this motion.
-        moving: whether it moved against the static background by more than the noise.
-        center: (3,) float64, metres, camera frame: X of the paper, in the current frame.
-        prev_T_curr: (4, 4) float64 rigid transform: where a point seen in `curr` was in `prev`.
-    """
-
-    id: int
-    pixels: int
-    score: float
-    moving: bool
-    center: Float64Array
-    prev_T_curr: Float64Array
-
-    @property
-    def rotation_vector(self) -> Float64Array:
-        """(3,) axis-angle in radians of the rotation part of `prev_T_curr`."""
-        return geometry.so3_log(self.prev_T_curr[:3, :3])
-
-    @property
-    def translation(self) -> Float64Array:
-        """(3,) metres: displacement of the centre, T of the paper: `P_prev = R (P_curr - X) + X + T`."""
-        return geometry.transform(self.prev_T_curr, self.center) - self.center
-
-    def to_dict(self) -> dict[str, Any]:
-        """The object's entry in `objects.json`."""
-        return {
-            "id": self.id,
-            "pixels": self.pixels,
-            "score": self.score,
-            "moving": self.moving,
-            "center": self.center.tolist(),
-            "rotation_vector": self.rotation_vector.tolist(),
-            "translation": self.translation.tolist(),
-            "prev_T_curr": self.prev_T_curr.tolist(),
-        }
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +26,15 @@ class SceneMotion:
     Attributes:
         labels: (H, W) int32, 0 = background, otherwise an object's id.
         scene_flow: (H, W, 3) float32 metres, `P_prev - P_curr`; NaN where depth is missing.
-        objects: in order of id.
+        objects: in ascending order of id.
         camera_motion: (4, 4) float64 `prev_T_curr` of the static background, or None for a static camera.
         method: the estimator's name.
-        seconds: what the estimate took.
+        seconds: duration of the estimate.
+        settings: of the estimator, as plain JSON.
+        changes: what each step of the method changed, a line per step, where it was asked to record that.
 
     Raises:
-        ResultError: arrays that do not fit together, or labels without an object.
+        ResultError: the arrays do not match each other, or a label has no object.
     """
 
     labels: LabelImage
@@ -99,6 +43,8 @@ class SceneMotion:
     camera_motion: Float64Array | None = None
     method: str = ""
     seconds: float = field(default=0.0)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    changes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.labels.ndim != 2 or self.labels.dtype != np.int32:
@@ -113,87 +59,155 @@ class SceneMotion:
         object.__setattr__(self, "objects", tuple(self.objects))
         ids = [obj.id for obj in self.objects]
         if sorted(set(ids)) != ids or (ids and ids[0] < 1):
-            raise ResultError(f"object ids must be rising and from 1, not {ids}")
+            raise ResultError(f"object ids must be rising, from 1, not {ids}")
         stray = set(np.unique(self.labels).tolist()) - {0} - set(ids)
         if stray:
             raise ResultError(f"labels {sorted(stray)} belong to no object")
 
-    def save(self, folder: str | Path) -> None:
-        """Write `labels.png`, `scene_flow.npy` and `objects.json` into a new folder: all of it or nothing.
+    def __len__(self) -> int:
+        """The number of objects."""
+        return len(self.objects)
+
+    def __iter__(self) -> Iterator[ObjectMotion]:
+        """The objects, in order of id."""
+        return iter(self.objects)
+
+    def __getitem__(self, number: int) -> ObjectMotion:
+        """The object with an id.
 
         Raises:
-            ResultError: the folder has content already.
-            StorageError: the disk refused.
+            ResultError: there is none; the message lists the ids.
+        """
+        for obj in self.objects:
+            if obj.id == number:
+                return obj
+        ids = ", ".join(str(obj.id) for obj in self.objects) or "none"
+        raise ResultError(f"there is no object {number!r}: the ids are {ids}")
+
+    @property
+    def moving(self) -> tuple[ObjectMotion, ...]:
+        """The objects that move."""
+        return tuple(obj for obj in self.objects if obj.moving)
+
+    @property
+    def curr_T_prev(self) -> Float64Array:
+        """(4, 4) inverse of the camera's motion; the identity for a static camera."""
+        return np.eye(4) if self.camera_motion is None else geometry.inverse(self.camera_motion)
+
+    def mask(self, number: int) -> BoolMask:
+        """(H, W) bool: the pixels of an object.
+
+        Raises:
+            ResultError: there is no object with this id.
+        """
+        return np.asarray(self.labels == self[number].id)
+
+    def points(self, number: int, frame: RgbdFrame) -> Float32Array:
+        """(N, 3) metres: the visible surface of an object, in the camera frame of the current frame.
+
+        Args:
+            number: the object's id.
+            frame: the current frame of the estimate.
+
+        Raises:
+            ResultError: there is no object with this id, or the frame has another size.
+        """
+        if frame.depth.shape != self.labels.shape:
+            raise ResultError(f"the frame has shape {frame.depth.shape}, but the result {self.labels.shape}")
+        return geometry.back_project(frame.depth, frame.camera)[self.mask(number) & frame.valid]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether labels, flow, objects, camera motion and method are equal; the duration does not count."""
+        if not isinstance(other, SceneMotion):
+            return NotImplemented
+        mine, theirs = (np.empty(0) if one.camera_motion is None else one.camera_motion for one in (self, other))
+        return (
+            self.method == other.method
+            and self.objects == other.objects
+            and np.array_equal(self.labels, other.labels)
+            and np.array_equal(self.scene_flow, other.scene_flow, equal_nan=True)
+            and np.array_equal(mine, theirs)
+        )
+
+    __hash__ = None  # type: ignore[assignment]  # equal by its arrays, which can change
+
+    def __repr__(self) -> str:
+        height, width = self.labels.shape
+        camera = "static camera" if self.camera_motion is None else "moving camera"
+        return (
+            f"SceneMotion({width}x{height}, {len(self)} objects, {len(self.moving)} moving, {camera}, {self.method!r})"
+        )
+
+    def _repr_html_(self) -> str:
+        """The label image and a table of the objects, for notebooks."""
+        return to_html(repr(self), self.labels, self.objects)
+
+    def to_coco(self, image_id: int = 0) -> list[dict[str, Any]]:
+        """The objects as COCO annotations, with run-length encoded masks.
+
+        Args:
+            image_id: of every annotation.
+
+        Returns:
+            One dict per object: id, image_id, category_id (1), segmentation (uncompressed RLE, as
+            `pycocotools.mask.frPyObjects` takes it), area, bbox [x, y, width, height], iscrowd, score.
+        """
+        return export.to_coco(self.labels, self.objects, image_id)
+
+    def to_ply(self, path: str | Path, frame: RgbdFrame) -> None:
+        """Write the points of the current frame as a binary PLY file with colour, label and flow.
+
+        Args:
+            path: of the file; one that exists is replaced.
+            frame: the current frame of the estimate.
+
+        Raises:
+            ResultError: the frame has another size.
+            StorageError: the file cannot be written.
+        """
+        if frame.depth.shape != self.labels.shape:
+            raise ResultError(f"the frame has shape {frame.depth.shape}, but the result {self.labels.shape}")
+        files.write_bytes(Path(path), export.to_ply(frame, self.labels, self.scene_flow))
+
+    def save(self, folder: str | Path) -> None:
+        """Write `labels.png`, `scene_flow.npy` and `objects.json` into a new folder, atomically.
+
+        Raises:
+            ResultError: The folder is not empty.
+            StorageError: The folder cannot be written.
         """
         with files.new_folder(Path(folder)) as temporary:
             self.write_into(temporary)
 
     def write_into(self, folder: Path) -> None:
-        """Write the three files of `save` into a folder that exists, for callers that add files of their own."""
-        if self.labels.max(initial=0) > np.iinfo(np.uint16).max:
-            raise ResultError(f"{folder}: labels above 65535 do not fit a 16-bit PNG")
-        done, png = cv2.imencode(".png", self.labels.astype(np.uint16))
-        if not done:
-            raise ResultError(f"{folder}: labels cannot be encoded as PNG")
-        (folder / "labels.png").write_bytes(png.tobytes())
-        np.save(folder / "scene_flow.npy", self.scene_flow)
+        """Write the three files of `save` into an existing folder, for callers that add further files."""
         summary = {
             "objects": [obj.to_dict() for obj in self.objects],
             "camera_motion": None if self.camera_motion is None else self.camera_motion.tolist(),
             "method": self.method,
             "seconds": self.seconds,
+            "settings": dict(self.settings),
             "width": self.labels.shape[1],
             "height": self.labels.shape[0],
         }
-        (folder / "objects.json").write_text(json.dumps(summary, indent=2) + "\n")
+        result_folder.write(folder, self.labels, self.scene_flow, summary)
 
     @classmethod
     def load(cls, folder: str | Path) -> SceneMotion:
-        """Read what `save` or `objectflow estimate` wrote.
+        """Read a result folder written by `save` or `objectflow estimate`.
 
         Raises:
-            ResultError: a file is missing, broken, or does not fit the others.
+            ResultError: A file is missing, broken or inconsistent with the others.
         """
-        folder = Path(folder)
-        try:
-            summary = json.loads((folder / "objects.json").read_text(encoding="utf-8"))
-            labels = read_image(folder / "labels.png")
-            if labels.dtype.kind != "u":
-                raise ValueError("labels.png must hold whole numbers")
-            if labels.shape != (summary["height"], summary["width"]):
-                raise ValueError(f"labels.png has shape {labels.shape}, objects.json tells of another size")
-            with open(folder / "scene_flow.npy", "rb") as file:
-                flow = np.lib.format.read_array(file, allow_pickle=False)
+        with result_folder.reading(Path(folder)):
+            labels, flow, summary = result_folder.read(Path(folder))
             camera_motion = summary["camera_motion"]
             return cls(
-                labels=labels.astype(np.int32),
+                labels=labels,
                 scene_flow=flow,
-                objects=tuple(_object_from_dict(entry) for entry in summary["objects"]),
+                objects=tuple(ObjectMotion.from_dict(entry) for entry in summary["objects"]),
                 camera_motion=None if camera_motion is None else np.array(camera_motion, dtype=np.float64),
                 method=str(summary["method"]),
                 seconds=float(summary["seconds"]),
+                settings=dict(summary.get("settings", {})),
             )
-        except FileNotFoundError as error:
-            raise ResultError(f"{folder}: not a result folder: {Path(error.filename).name} is missing") from None
-        except (ReaderError, ResultError) as error:
-            raise ResultError(f"{folder}: not a result folder that can be read: {error}") from error
-        except _BROKEN as error:
-            reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            raise ResultError(f"{folder}: not a result folder that can be read: {reason}") from error
-
-
-def _object_from_dict(entry: dict[str, Any]) -> ObjectMotion:
-    prev_T_curr = np.array(entry["prev_T_curr"], dtype=np.float64)
-    center = np.array(entry["center"], dtype=np.float64)
-    if prev_T_curr.shape != (4, 4) or center.shape != (3,):
-        raise ValueError(f"object {entry['id']} has no 4x4 prev_T_curr or no center[3]")
-    if not (np.isfinite(prev_T_curr).all() and np.isfinite(center).all()):
-        raise ValueError(f"object {entry['id']} has a prev_T_curr or a center that is not finite")
-    return ObjectMotion(
-        id=int(entry["id"]),
-        pixels=int(entry["pixels"]),
-        score=float(entry["score"]),
-        moving=bool(entry["moving"]),
-        center=center,
-        prev_T_curr=prev_T_curr,
-    )

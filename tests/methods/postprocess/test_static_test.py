@@ -1,4 +1,4 @@
-"""At rest or not: movers stay movers, what the frames show standing still is brought to rest, by known scenes."""
+"""The static test: moving objects keep their motions and static ones are reset, on known scenes."""
 
 from __future__ import annotations
 
@@ -8,35 +8,36 @@ import numpy as np
 import pytest
 
 import analytic
+from helpers.truths import true_objects
 from objectflow import geometry
-from objectflow.alignment.likelihood import COST_FREE_SPACE_VIOLATION
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.likelihood import LikelihoodSettings
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.methods.postprocess.static_test import MotionEvidence, find_evidence, reject_static
 from objectflow.motion import ObjectMotion
 from objectflow.typing import Float64Array
 
-
-def true_objects(pair: analytic.AnalyticPair, score: float = 0.3) -> tuple[ObjectMotion, ...]:
-    return tuple(
-        ObjectMotion(k, int((pair.labels == k).sum()), score, True, pair.centers[k], pair.prev_T_curr[k])
-        for k in sorted(pair.prev_T_curr)
-        if (pair.labels == k).any()
-    )
+DEFAULTS = PostprocessSettings()
+LIKELIHOOD = LikelihoodSettings()
 
 
 def shifted(obj: ObjectMotion, shift: tuple[float, float, float]) -> ObjectMotion:
-    """With a motion that is off by this much, in metres."""
+    """The object with a motion that is off by this much, in metres."""
     return dataclasses.replace(obj, prev_T_curr=geometry.make_transform(np.eye(3), list(shift)) @ obj.prev_T_curr)
 
 
 @pytest.mark.parametrize("width", [320, 800])
-def test_movers_keep_their_motions(width: int) -> None:
+def test_moving_objects_keep_their_motions(width: int) -> None:
     for seed in range(51, 55):
-        pair = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, width=width, height=width * 3 // 4)
-        for obj in reject_static(PairLikelihood(pair.prev, pair.curr, pair.labels), objects := true_objects(pair)):
-            (true,) = (one for one in objects if one.id == obj.id)
+        scene = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, width=width, height=width * 3 // 4)
+        start = true_objects(scene, score=0.3, all_moving=True)
+        labels, found = reject_static(FramePair(scene.prev, scene.curr), scene.labels, start, DEFAULTS)
+        assert labels is scene.labels
+        assert len(found) == len(start)
+        for true, obj in zip(start, found, strict=True):
             moved = np.linalg.norm(true.translation) > 0.02
             assert obj.moving >= moved
             if obj.moving:
@@ -44,30 +45,38 @@ def test_movers_keep_their_motions(width: int) -> None:
             assert (obj.id, obj.pixels, obj.score) == (true.id, true.pixels, true.score)
 
 
-def test_what_stands_still_is_brought_to_rest() -> None:
+def test_static_objects_get_the_identity() -> None:
     for seed in range(51, 54):
-        pair = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, moving_share=0.0)
-        start = tuple(shifted(obj, (0.02, 0.01, 0.0)) for obj in true_objects(pair, score=0.9))
-        for obj in reject_static(PairLikelihood(pair.prev, pair.curr, pair.labels), start):
+        scene = analytic.make_scene(seed, objects=(3, 6), depth_noise=0.0015, moving_share=0.0)
+        start = tuple(shifted(obj, (0.02, 0.01, 0.0)) for obj in true_objects(scene, score=0.9, all_moving=True))
+        for obj in reject_static(FramePair(scene.prev, scene.curr), scene.labels, start, DEFAULTS)[1]:
             assert not obj.moving
             np.testing.assert_array_equal(obj.prev_T_curr, np.eye(4))
 
 
-def test_a_small_motion_is_left_as_it_is_and_is_none() -> None:
-    pair = analytic.make_scene(51, objects=(2, 2), moving_share=0.0)
-    start = tuple(shifted(obj, (0.002, 0.0, 0.0)) for obj in true_objects(pair))
-    for old, new in zip(start, reject_static(PairLikelihood(pair.prev, pair.curr, pair.labels), start), strict=True):
+def test_a_small_motion_stays_and_counts_as_static() -> None:
+    scene = analytic.make_scene(51, objects=(2, 2), moving_share=0.0)
+    pair = FramePair(scene.prev, scene.curr)
+    start = tuple(shifted(obj, (0.002, 0.0, 0.0)) for obj in true_objects(scene, score=0.3, all_moving=True))
+    for old, new in zip(start, reject_static(pair, scene.labels, start, DEFAULTS)[1], strict=True):
         assert not new.moving
         np.testing.assert_array_equal(new.prev_T_curr, old.prev_T_curr)
+    # With a lower displacement the evidence decides, and there is none.
+    test = StaticTestSettings(static_displacement=0.001)
+    settings = dataclasses.replace(DEFAULTS, static_test=test)
+    for obj in reject_static(pair, scene.labels, start, settings)[1]:
+        assert not obj.moving
+        np.testing.assert_array_equal(obj.prev_T_curr, np.eye(4))
 
 
 CAMERA = Camera(width=80, height=60, fx=80.0, fy=80.0, cx=40.0, cy=30.0)
 PATCH = np.zeros((60, 80), bool)
 PATCH[20:40, 30:50] = True
+LABELS = PATCH.astype(np.int32)
 
 
 def frame(depth: float, patch: float | None = None) -> RgbdFrame:
-    """A grey wall, and a patch of it at another depth."""
+    """A grey wall with a patch at another depth."""
     image = np.full((60, 80), depth, np.float32)
     if patch is not None:
         image[PATCH] = patch
@@ -79,55 +88,64 @@ def patch_object(motion: Float64Array, score: float) -> ObjectMotion:
 
 
 FAR = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.3])
-"""A motion that nothing in these frames bears out: from behind the wall."""
+"""A motion without support in these frames: from behind the wall."""
 
 
 @pytest.mark.parametrize("score", [0.1, 0.9])
-def test_what_cannot_have_stood_still_moved_however_badly_its_motion_fits(score: float) -> None:
-    """A patch that stands before the wall, and in the previous frame there was nothing but the wall."""
-    (obj,) = reject_static(
-        PairLikelihood(frame(1.0), frame(1.0, 0.8), PATCH.astype(np.int32)), (patch_object(FAR, score),)
-    )
+def test_an_object_that_would_violate_free_space_moved_even_if_its_motion_fits_badly(score: float) -> None:
+    """A patch in front of the wall, where the previous frame shows only the wall."""
+    _, (obj,) = reject_static(FramePair(frame(1.0), frame(1.0, 0.8)), LABELS, (patch_object(FAR, score),), DEFAULTS)
     assert obj.moving
     np.testing.assert_array_equal(obj.prev_T_curr, FAR)
 
 
-@pytest.mark.parametrize(("score", "moving"), [(0.3, False), (0.9, True)])
-def test_what_was_merely_hidden_moved_only_by_a_sure_word(score: float, moving: bool) -> None:
-    """A piece of wall that something stood before: it may have been there, or not."""
-    (obj,) = reject_static(
-        PairLikelihood(frame(1.0, 0.7), frame(1.0), PATCH.astype(np.int32)), (patch_object(FAR, score),)
-    )
+@pytest.mark.parametrize(
+    ("score", "confidence", "moving"), [(0.3, 0.6, False), (0.9, 0.6, True), (0.3, 0.2, True), (0.9, 0.95, False)]
+)
+def test_a_hidden_object_moved_only_if_the_network_is_confident(score: float, confidence: float, moving: bool) -> None:
+    """A piece of wall that was hidden: it may have been there or not."""
+    settings = dataclasses.replace(DEFAULTS, static_test=StaticTestSettings(network_confidence=confidence))
+    _, (obj,) = reject_static(FramePair(frame(1.0, 0.7), frame(1.0)), LABELS, (patch_object(FAR, score),), settings)
     assert obj.moving is moving
     assert np.array_equal(obj.prev_T_curr, FAR if moving else np.eye(4))
 
 
 def test_the_evidence_is_the_mean_difference_of_the_costs() -> None:
-    """Half of the mask before the wall, half on it: a motion by 20 cm explains the first half and not the other."""
+    """Half of the mask in front of the wall, half on it: a motion by 20 cm explains only the first half."""
     mask = PATCH.copy()
     mask[:, 50:70] = PATCH[:, 30:50]
-    likelihood = PairLikelihood(frame(1.0, 1.0), frame(1.0, 0.8), mask.astype(np.int32))
+    likelihood = PairLikelihood(FramePair(frame(1.0, 1.0), frame(1.0, 0.8)), LIKELIHOOD)
     back = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.2])
-    found = find_evidence(likelihood, patch_object(back, 0.5))
+    found = find_evidence(likelihood, mask.astype(np.int32), patch_object(back, 0.5), DEFAULTS)
     assert found is not None
-    # At rest: ruled out, and perfect. Moved: perfect, and 20 cm behind the wall: hidden, far behind, costs 2.
-    assert found.gain == pytest.approx((COST_FREE_SPACE_VIOLATION - 2.0) / 2, abs=0.05)
-    assert found.stands == pytest.approx(0.5, abs=0.01)
-    assert found.impossible == pytest.approx(0.5, abs=0.01)
+    # Static: a free-space violation and a perfect fit. Moving: a perfect fit, and 20 cm behind the wall: hidden.
+    assert found.gain == pytest.approx((LIKELIHOOD.free_space_violation - LIKELIHOOD.hidden) / 2, abs=0.05)
+    assert found.static_inliers == pytest.approx(0.5, abs=0.01)
+    assert found.violations == pytest.approx(0.5, abs=0.01)
 
 
-def test_the_verdict_asks_for_gain_first() -> None:
-    assert MotionEvidence(gain=0.5, stands=1.0, impossible=0.0).moved(0.1)
-    assert not MotionEvidence(gain=0.1, stands=0.5, impossible=0.5).moved(0.9)
-    assert MotionEvidence(gain=-2.0, stands=0.1, impossible=0.5).moved(0.1)
-    assert not MotionEvidence(gain=-2.0, stands=0.1, impossible=0.0).moved(0.5)
+@pytest.mark.parametrize(
+    ("gain", "static_inliers", "violations", "score", "moved"),
+    [
+        (0.5, 1.0, 0.0, 0.1, True),  # the motion explains the object better
+        (0.1, 0.5, 0.5, 0.9, False),  # standing still explains a part of it
+        (-2.0, 0.1, 0.5, 0.1, True),  # it cannot have stood still
+        (-2.0, 0.1, 0.0, 0.5, False),  # it may have been hidden
+        (-2.0, 0.1, 0.0, 0.7, True),  # the same, with a confident network
+    ],
+)
+def test_gain_decides_first(
+    gain: float, static_inliers: float, violations: float, score: float, moved: bool
+) -> None:
+    evidence = MotionEvidence(gain=gain, static_inliers=static_inliers, violations=violations)
+    assert evidence.moved(score, StaticTestSettings()) is moved
 
 
-def test_objects_without_depth_keep_the_network_s_word() -> None:
+def test_objects_without_depth_keep_their_motion() -> None:
     curr = frame(1.0)
     empty = dataclasses.replace(curr, depth=np.where(PATCH, 0, curr.depth).astype(np.float32))
-    likelihood = PairLikelihood(curr, empty, PATCH.astype(np.int32))
-    (obj,) = reject_static(likelihood, (patch_object(FAR, 0.1),))
+    pair = FramePair(curr, empty)
+    _, (obj,) = reject_static(pair, LABELS, (patch_object(FAR, 0.1),), DEFAULTS)
     assert obj.moving
-    assert find_evidence(likelihood, obj) is None
-    assert reject_static(likelihood, ()) == ()
+    assert find_evidence(PairLikelihood(pair, LIKELIHOOD), LABELS, obj, DEFAULTS) is None
+    assert reject_static(pair, LABELS, (), DEFAULTS)[1] == ()

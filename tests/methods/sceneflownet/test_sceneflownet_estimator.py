@@ -256,8 +256,9 @@ def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
     from helpers.training_runs import RECIPE, job, write_set
     from objectflow.training.loop import train
 
-    loss = dataclasses.replace(RECIPE.loss, rotation_weight=0.05)
-    recipe = dataclasses.replace(RECIPE, loss=loss, steps=2, validation_pairs=2)
+    loss = dataclasses.replace(RECIPE.model.loss, rotation_weight=0.05)
+    model = dataclasses.replace(RECIPE.model, loss=loss)
+    recipe = dataclasses.replace(RECIPE, model=model, steps=2, validation_pairs=2)
     train(job(write_set(tmp_path / "set", pairs=4), tmp_path / "run", recipe))
     estimator: Any = objectflow.load(NAME, camera="static", weights=tmp_path / "run")
     assert (estimator.size, estimator.grouping.rotation_weight) == ((24, 32), 0.05)

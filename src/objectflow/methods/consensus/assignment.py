@@ -1,89 +1,144 @@
-"""Pixels to motions: labels at the working size, from the costs of all motions and the walk along surfaces."""
+"""Assignment of pixels to motions, from the costs of all motions and a random walk along surfaces."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from objectflow import geometry
-from objectflow.alignment.likelihood import (
-    COST_FREE_SPACE_VIOLATION,
-    COST_HIDDEN,
-    EVERYWHERE,
-    AppearanceFeatures,
-    Box,
-    motion_cost,
-)
-from objectflow.frame import RgbdFrame
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.likelihood import EVERYWHERE, Box, LikelihoodSettings, motion_cost
 from objectflow.methods.consensus.pixel_graph import PixelGraph, split_regions
+from objectflow.methods.consensus.random_walker import RandomWalker
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
 
-OBJECT_PRIOR = 0.3
-"""Cost of any object's motion over the background's: undecided pixels are background."""
-HIDDEN_BY_KNOWN = 0.6
-"""Cost of having been hidden behind an object that is known to have been there."""
+MovingMask = tuple[Float64Array, BoolMask]
+"""`prev_T_curr` of an object and its (H, W) mask."""
+
+
+@dataclass(frozen=True)
+class AssignmentSettings(Settings):
+    """Priors of the assignment."""
+
+    object_prior: float = setting(0.3, minimum=0)
+    """Cost of an object's motion relative to the background's: undecided pixels become background."""
+    hidden_by_known: float = setting(0.6, minimum=0)
+    """Cost of having been hidden behind an object that is known to have been there."""
+    reach_base: float = setting(0.01, above=0)
+    """Metres: distance from an object's known points at which its motion costs nothing extra, at depth 0."""
+    reach_slope: float = setting(0.02, minimum=0)
+    """Growth of that distance with the median depth."""
+    min_gap: float = setting(0.03, above=0)
+    """Metres: pieces of one label that lie farther apart are separate objects."""
 
 
 class Assignment:
-    """The two frames at the size where pixels are assigned, with what every round needs of them."""
+    """The frames at the size at which pixels are assigned, and the costs of motions on them.
+
+    Attributes:
+        pair: the frames.
+        background: (4, 4) `prev_T_curr` of the static background.
+        camera_moved: whether the background moves.
+        points: (H, W, 3) metres of the current frame.
+        valid: (H, W) bool: pixels with depth.
+        background_cost: (H, W) cost of the background's motion.
+        hidden: (H, W) bool: pixels that the background's motion hides in the previous frame.
+        informative: (H, W) bool: pixels whose gain over the background counts. Before a static camera, a hidden pixel
+            was uncovered by a moving object; a moving camera uncovers background by itself.
+        reach: metres from an object's known points at which its motion costs nothing extra.
+        min_pixels: fewest pixels of an object.
+    """
 
     def __init__(
-        self, prev: RgbdFrame, curr: RgbdFrame, camera_motion: Float64Array | None, *, min_pixels: int
+        self,
+        pair: FramePair,
+        camera_motion: Float64Array | None,
+        *,
+        min_pixels: int,
+        likelihood: LikelihoodSettings,
+        settings: AssignmentSettings,
     ) -> None:
-        self.prev, self.curr, self.min_pixels = prev, curr, min_pixels
-        self.background = np.eye(4) if camera_motion is None else camera_motion
-        self._others: list[tuple[Float64Array, BoolMask]] = []
-        self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
-        self.points = geometry.back_project(curr.depth, curr.camera)
-        self.valid = curr.valid
-        self.graph = PixelGraph(curr)
-        self.appearance = AppearanceFeatures(prev.color), AppearanceFeatures(curr.color)
-        self.background_cost, self.hidden = motion_cost(prev, self.points, self.background, self.appearance)
-        self.rival_cost = self.background_cost
-        # Before a static camera what was hidden is uncovered by a moving thing; a moving camera uncovers by itself.
+        self.pair, self.min_pixels = pair, min_pixels
+        self.settings, self._likelihood = settings, likelihood
         self.camera_moved = camera_motion is not None
-        self.telling = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
-        self.reach = 0.02 * float(np.median(curr.depth[curr.valid])) + 0.01
+        self.background = np.eye(4) if camera_motion is None else camera_motion
+        self.points, self.valid = pair.curr.points, pair.curr.valid
+        self.graph = PixelGraph(pair.curr, pair.noise)
+        self._walker = RandomWalker(self.graph)
+        self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
+        self._others: Sequence[MovingMask] = ()
+        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True)
+        self.rival_cost = self.background_cost
+        self.informative = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
+        depth = pair.curr.frame.depth
+        self.reach = settings.reach_slope * float(np.median(depth[self.valid])) + settings.reach_base
 
-    def leave_out(self, mask: BoolMask, others: list[tuple[Float64Array, BoolMask]]) -> None:
-        """Take pixels for background that fits, whatever the frames say there; `others` move and hid background."""
+    def exclude(self, mask: BoolMask, others: Sequence[MovingMask]) -> None:
+        """Treat the pixels of a mask as background that fits; `others` are moving objects that hid background."""
         self._others = others
         self.background_cost = np.where(mask, np.float32(0), self.background_cost)
         self.hidden &= ~mask
         self.rival_cost = self.background_cost
-        self.telling = self.telling | mask
+        self.informative = self.informative | mask
 
     def cost(self, prev_T_curr: Float64Array, box: Box = EVERYWHERE, *, color: bool = True) -> Float32Array:
-        """(H, W) cost of a motion within a box, ruled out elsewhere; see `motion_cost`."""
+        """(H, W) cost of a motion within a box, and the highest cost elsewhere; see `motion_cost`."""
         key = (prev_T_curr.tobytes(), color)
         if key not in self._costs or not _within(box, self._costs[key][0]):
-            appearance = self.appearance if color else None
-            cost = np.full(self.valid.shape, COST_FREE_SPACE_VIOLATION, np.float32)
-            cost[box] = motion_cost(self.prev, self.points, prev_T_curr, appearance, box)[0]
+            cost = np.full(self.valid.shape, self._likelihood.free_space_violation, np.float32)
+            cost[box] = self._motion_cost(prev_T_curr, box, color=color)[0]
             self._costs[key] = box, cost
         return self._costs[key][1]
 
+    def _motion_cost(self, prev_T_curr: Float64Array, box: Box, *, color: bool) -> tuple[Float32Array, BoolMask]:
+        prev, curr = self.pair.prev, self.pair.curr
+        appearance = (prev.appearance, curr.appearance) if color else None
+        return motion_cost(
+            prev.frame, self.points, prev_T_curr, appearance, box, noise=self.pair.noise, settings=self._likelihood
+        )
+
+    def vanished_cost(self) -> tuple[Float32Array, BoolMask]:
+        """Cost of the background's motion on the pixels of the previous frame, and which of them are hidden now."""
+        prev, curr = self.pair.prev, self.pair.curr
+        return motion_cost(
+            curr.frame,
+            prev.points,
+            geometry.inverse(self.background),
+            (curr.appearance, prev.appearance),
+            noise=self.pair.noise,
+            settings=self._likelihood,
+        )
+
     def around(self, points: Float32Array) -> Box:
         """The box of pixels within a few times `reach` of points (N, 3)."""
-        pixels = geometry.project(points, self.curr.camera)
-        margin = 3.2 * self.reach * self.curr.camera.fx / max(0.1, float(points[:, 2].min()))
+        camera = self.pair.curr.frame.camera
+        pixels = geometry.project(points, camera)
+        margin = 3.2 * self.reach * camera.fx / max(0.1, float(points[:, 2].min()))
         low, high = pixels.min(axis=0) - margin, pixels.max(axis=0) + margin + 1
         height, width = self.valid.shape
         top, bottom = (int(np.clip(value, 0, height)) for value in (low[1], high[1]))
         left, right = (int(np.clip(value, 0, width)) for value in (low[0], high[0]))
         return slice(top, bottom), slice(left, right)
 
+    def around_mask(self, mask: BoolMask) -> Box:
+        """`around` the points of a mask."""
+        return self.around(self.points[mask & self.valid])
+
     def assign(
         self, motions: list[Float64Array], anchors: list[Float32Array], masks: list[BoolMask], *, fine: bool
     ) -> LabelImage:
-        """Labels by cost, nearness and the walk along surfaces.
+        """Label pixels by cost, nearness to known points, and the random walk along surfaces.
 
         Args:
             motions: `prev_T_curr` of each object.
             anchors: (N, 3) points that follow each.
             masks: (H, W) of each, as far as known; empty in the first round.
-            fine: to the pixel, or in blocks of 2x2.
+            fine: whether single pixels are labelled, or blocks of 2x2.
 
         Returns:
             (H, W) int32: 0 = background, k = the k-th motion.
@@ -92,21 +147,21 @@ class Assignment:
         costs = [self.rival_cost]
         for motion, points in zip(motions, anchors, strict=True):
             near = nearness_cost(self.points, points, self.reach)
-            costs.append(self.cost(motion, self.around(points)) + near + OBJECT_PRIOR)
-        probability = self.graph.walk(np.stack(costs), fine=fine)
+            costs.append(self.cost(motion, self.around(points)) + near + self.settings.object_prior)
+        probability = self._walker.solve(np.stack(costs), fine=fine)
         return np.asarray(probability.argmax(0), dtype=np.int32)
 
     def anchors(self, mask: BoolMask, motion: Float64Array) -> Float32Array:
-        """(N, 3) points of a mask that its motion explains and the background's cannot."""
-        cost = self.cost(motion, self.around(self.points[mask & self.valid]))
+        """(N, 3) points of a mask that its motion explains and the background's does not."""
+        cost = self.cost(motion, self.around_mask(mask))
         decided = mask & self.valid & (self.rival_cost - cost > 1)
         return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
 
     def _background_cost_given(self, motions: list[Float64Array], masks: list[BoolMask]) -> Float32Array:
-        """The background's cost when objects are known: what they hid in `prev` may well be background.
+        """The background's cost given known objects, behind which background may have been hidden.
 
-        Then being hidden costs only what the object's colours say: on a dull surface every motion finds the colour
-        again and it says nothing, on a textured one a motion that finds it is hardly wrong.
+        Being hidden then costs as much as the object's texture warrants: a surface without texture fits many motions
+        and is weak evidence, a textured one fits few.
         """
         known = [*(zip(motions, masks, strict=True) if masks else ()), *self._others]
         if not known:
@@ -116,16 +171,18 @@ class Assignment:
         for motion, mask in known:
             column, row, inside_image = self.pixels_in_prev(motion, self.points[mask & self.valid])
             occupied[row[inside_image], column[inside_image]] = 1
-        spread = cv2.dilate(occupied, np.ones((5, 5)))
+        dilated = cv2.dilate(occupied, np.ones((5, 5)))
         column, row, _ = self.pixels_in_prev(self.background, self.points)
-        expected = self.hidden & (spread[row, column] > 0)
-        texture = np.minimum(self.appearance[1].contrast[0] / 25, 1)
-        cost = HIDDEN_BY_KNOWN + (COST_HIDDEN - HIDDEN_BY_KNOWN) * texture
+        expected = self.hidden & (dilated[row, column] > 0)
+        texture = np.minimum(self.pair.curr.appearance.contrast[0] / 25, 1)
+        low = self.settings.hidden_by_known
+        cost = low + (self._likelihood.hidden - low) * texture
         return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
 
     def pixels_in_prev(self, motion: Float64Array, points: Float32Array) -> tuple[IndexArray, IndexArray, BoolMask]:
         """Column and row in `prev` of points under a motion, clipped to the image, and whether they lie inside."""
-        pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), self.prev.camera), nan=-9)
+        camera = self.pair.prev.frame.camera
+        pixels = np.nan_to_num(geometry.project(geometry.transform(motion, points), camera), nan=-9)
         height, width = self.valid.shape
         column, row = np.rint(pixels[..., 0]).astype(int), np.rint(pixels[..., 1]).astype(int)
         inside_image = (column >= 0) & (row >= 0) & (column < width) & (row < height)
@@ -133,7 +190,8 @@ class Assignment:
 
     def split(self, labels: LabelImage) -> list[tuple[int, BoolMask]]:
         """The separate objects of each label; see `split_regions`."""
-        return split_regions(labels, self.points, self.graph, min_pixels=self.min_pixels, gap=max(0.03, self.reach))
+        gap = max(self.settings.min_gap, self.reach)
+        return split_regions(labels, self.points, self.graph, min_pixels=self.min_pixels, gap=gap)
 
 
 def _within(box: Box, other: Box) -> bool:
@@ -146,7 +204,7 @@ def _within(box: Box, other: Box) -> bool:
 
 
 def nearness_cost(points: Float32Array, anchors: Float32Array, reach: float) -> Float32Array:
-    """Up to 4: distance of each pixel's point from the nearest point that is known to follow the motion.
+    """Cost of each pixel's distance from the points that are known to follow a motion, up to 4.
 
     Args:
         points: (H, W, 3) metres.
@@ -154,7 +212,7 @@ def nearness_cost(points: Float32Array, anchors: Float32Array, reach: float) -> 
         reach: metres that cost nothing; twice as far costs 1.
     """
     height, width = points.shape[:2]
-    # Distance is smooth: a third of the pixels each way, and the rest between them, at a ninth of the time.
+    # Distance is smooth: computing it on every third row and column takes a ninth of the time.
     coarse = np.nan_to_num(points[1::3, 1::3], nan=1e3)
     thinned = anchors[:: max(1, len(anchors) // 500)]
     distance, _ = cKDTree(thinned).query(coarse.reshape(-1, 3), distance_upper_bound=4 * reach)

@@ -1,7 +1,8 @@
-"""Rigid motions of moving objects, from matches that keep their distances to each other."""
+"""Proposals: rigid motions of groups of matches that keep their mutual distances."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,28 @@ from objectflow import geometry
 from objectflow.alignment import fitting
 from objectflow.alignment.matching import PixelMatches
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import match_sigma
+from objectflow.geometry.depth_noise import DepthNoise
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float64Array
+
+
+@dataclass(frozen=True)
+class ProposalSettings(Settings):
+    """How many motions are proposed, and from what."""
+
+    max_motions: int = setting(24, minimum=1)
+    """Maximum number of proposed motions."""
+    min_support: int = setting(6, minimum=3)
+    """Minimum number of matches that follow a motion."""
+    max_matches: int = setting(700, minimum=3)
+    """Maximum number of matches; more are thinned at random, since the compatibility table is quadratic."""
+    reach_base: float = setting(0.05, minimum=0)
+    """Metres: largest distance between two matches of one motion, at depth 0."""
+    reach_slope: float = setting(0.35, minimum=0)
+    """Growth of that distance with the median depth."""
+
+
+DEFAULTS = ProposalSettings()
 
 
 class Proposal(NamedTuple):
@@ -26,45 +47,43 @@ def propose(
     camera: Camera,
     *,
     rng: np.random.Generator,
-    limit: int = 24,
-    min_support: int = 6,
-    max_matches: int = 700,
+    noise: DepthNoise,
+    settings: ProposalSettings = DEFAULTS,
 ) -> list[Proposal]:
-    """Greedy maximum coverage: again and again the motion that explains most of the matches left.
+    """Greedy maximum coverage: repeatedly the motion that explains most of the remaining matches.
 
-    Every match proposes one motion: the fit to its neighbours that are as far from it in one frame as in the other,
-    since a rigid motion keeps distances (the consistency of SF2SE3, GCPR 2022, section 3.2).
+    Every match proposes one motion, the fit to those neighbours whose distance to it is the same in both frames, since
+    a rigid motion keeps distances (the consistency of SF2SE3, GCPR 2022, section 3.2).
 
     Args:
         matches: those that do not follow the background.
-        camera: for the matching error in metres.
-        rng: thins the matches when there are more than `max_matches`.
-        limit: at most this many motions.
-        min_support: fewer matches than this make no motion.
-        max_matches: the compatibility table has this many rows.
+        camera: converts the matching error to metres.
+        rng: thins the matches where there are too many.
+        noise: of the depth.
+        settings: see there.
     """
-    if len(matches.curr) > max_matches:
-        matches = matches[np.sort(rng.permutation(len(matches.curr))[:max_matches])]
+    if len(matches.curr) > settings.max_matches:
+        matches = matches[np.sort(rng.permutation(len(matches.curr))[: settings.max_matches])]
     left = matches
     found: list[Proposal] = []
-    while len(found) < limit and len(left.curr) >= min_support:
-        follows, scores = _candidates(left, camera)
-        if len(scores) == 0 or scores.max() < min_support:
+    while len(found) < settings.max_motions and len(left.curr) >= settings.min_support:
+        follows, scores = _candidates(left, camera, noise, settings)
+        if len(scores) == 0 or scores.max() < settings.min_support:
             break
-        # One table serves several motions, as long as their followers do not overlap.
+        # One table serves several motions whose inliers do not overlap.
         free = np.ones(len(left.curr), bool)
         taken_here = 0
         for index in np.argsort(-scores):
-            if scores[index] < max(min_support, 0.5 * scores.max()) or len(found) == limit:
+            if scores[index] < max(settings.min_support, 0.5 * scores.max()) or len(found) == settings.max_motions:
                 break
             members = follows[index]
-            if (members & free).sum() < 0.8 * members.sum() or (members & free).sum() < min_support:
+            if (members & free).sum() < 0.8 * members.sum() or (members & free).sum() < settings.min_support:
                 continue
-            prev_T_curr, inliers = fitting.fit_matches(left[members & free], camera)
-            if inliers.sum() < min_support:
+            prev_T_curr, inliers = fitting.fit_matches(left[members & free], camera, noise=noise)
+            if inliers.sum() < settings.min_support:
                 continue
             found.append(Proposal(prev_T_curr, left[members & free][inliers]))
-            free &= ~_explained(prev_T_curr, left, camera, found[-1].matches)
+            free &= ~_explained(prev_T_curr, left, camera, noise, found[-1].matches)
             free &= ~members
             taken_here += 1
         if taken_here == 0:
@@ -73,15 +92,17 @@ def propose(
     return found
 
 
-def _candidates(matches: PixelMatches, camera: Camera) -> tuple[BoolMask, Float64Array]:
-    """One motion a match: who follows it (K, N), and how many do, weighted by how well."""
+def _candidates(
+    matches: PixelMatches, camera: Camera, noise: DepthNoise, settings: ProposalSettings
+) -> tuple[BoolMask, Float64Array]:
+    """One motion per match: (K, N) bool, its inliers, and (K,) their number, weighted by how well they fit."""
     curr, prev = matches.curr.astype(np.float64), matches.prev.astype(np.float64)
-    sigma = match_sigma(matches.curr[:, 2], camera).astype(np.float64)
+    sigma = noise.match_sigma(matches.curr[:, 2], camera).astype(np.float64)
     near = _distances(curr)
-    reach = 0.35 * np.median(curr[:, 2]) + 0.05
+    reach = settings.reach_slope * np.median(curr[:, 2]) + settings.reach_base
     compatible = np.abs(near - _distances(prev)) < 2 * np.hypot(sigma[:, None], sigma[None, :])
     compatible &= near < reach
-    # Neighbours at a lever arm fix the rotation; a third of the reach already counts in full.
+    # Distant neighbours determine the rotation, so the weight falls slowly with distance.
     weights: Float64Array = np.where(compatible, np.exp(-((near / (0.5 * reach)) ** 2)), 0.0)
     motions, determined = _fit_all(weights, curr, prev)
     for _ in range(3):
@@ -95,23 +116,20 @@ def _candidates(matches: PixelMatches, camera: Camera) -> tuple[BoolMask, Float6
 
 
 def _fit_all(weights: Float64Array, curr: Float64Array, prev: Float64Array) -> tuple[Float64Array, BoolMask]:
-    """Weighted Kabsch of one point set under K weightings, by moments: no (K, N, 3) array is made."""
+    """Weighted Kabsch of one point set under K weightings, by moments, without an array of shape (K, N, 3)."""
     total = weights.sum(1, keepdims=True) + 1e-12
     w = weights / total
     p_mean, q_mean = w @ curr, w @ prev
     outer = (prev[:, :, None] * curr[:, None, :]).reshape(len(curr), 9)
     H = (w @ outer).reshape(-1, 3, 3) - q_mean[:, :, None] * p_mean[:, None, :]
-    U, S, Vt = np.linalg.svd(H)
-    D = np.ones((len(H), 3))
-    D[:, 2] = np.sign(np.linalg.det(U @ Vt))
-    R = (U * D[:, None, :]) @ Vt
+    R, S = geometry.nearest_rotation(H)
     t = q_mean - (R @ p_mean[..., None])[..., 0]
     enough = ((weights > 0.01).sum(1) >= 4) & (S[:, 1] > 1e-3 * S[:, 0]) & (S[:, 0] > 1e-8)
     return geometry.make_transform(R, t), enough
 
 
 def _errors(motions: Float64Array, curr: Float64Array, prev: Float64Array) -> Float64Array:
-    """(K, N) distances of every match to its place under every motion."""
+    """(K, N) distances of every match from its position under every motion."""
     return np.sqrt(fitting.squared_errors(motions, curr, prev))
 
 
@@ -120,9 +138,11 @@ def _distances(points: Float64Array) -> Float64Array:
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2 * points @ points.T, 0)))
 
 
-def _explained(prev_T_curr: Float64Array, matches: PixelMatches, camera: Camera, members: PixelMatches) -> BoolMask:
-    """Matches that a motion explains and that lie near one of its own."""
-    sigma = match_sigma(matches.curr[:, 2], camera)
+def _explained(
+    prev_T_curr: Float64Array, matches: PixelMatches, camera: Camera, noise: DepthNoise, members: PixelMatches
+) -> BoolMask:
+    """(N,) bool: matches that a motion explains and that lie near one of its members."""
+    sigma = noise.match_sigma(matches.curr[:, 2], camera)
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
     gap = np.linalg.norm(matches.curr[:, None] - members.curr[None], axis=-1).min(1)
     return np.asarray((error < 4 * sigma) & (gap < 0.08))

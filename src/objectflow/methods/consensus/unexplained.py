@@ -1,36 +1,48 @@
-"""A second look at what the first round left unexplained: motions that too few matches agreed on.
+"""Recovery of objects that the first round left unexplained because too few matches agree on their motion.
 
-Small round things turn their texture away, and dull ones have none. What they still show is where they are now and
-where something vanished; alignment by depth and colour does the rest.
+Small round objects rotate their texture out of view, and plain ones have none. Their present position and the places
+where something vanished still constrain their motion; registration by depth and colour completes it.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
-from objectflow.alignment.likelihood import motion_cost
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import PixelMatches, inside
-from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import match_sigma
+from objectflow.geometry.depth_noise import DepthNoise
 from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.consensus.assignment import Assignment
-from objectflow.methods.consensus.selection import MIN_GAIN
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array
 
-MAX_REGIONS = 6
-BAD_FIT = 1.0
-"""Mean cost a pixel above which an object's motion is taken for wrong, and sought again."""
-MAX_STARTS = 3
-MAX_DISTANCE = 0.3
-"""Metres; nothing is sought further away than this."""
+
+@dataclass(frozen=True)
+class RecoverySettings(Settings):
+    """What is searched again, and where."""
+
+    max_regions: int = setting(6, minimum=0)
+    """Maximum number of unexplained regions, the largest first."""
+    bad_fit: float = setting(1.0, minimum=0)
+    """Mean cost per pixel above which the motion of a known object counts as wrong and is searched again."""
+    changed_cost: float = setting(1.5, minimum=0)
+    """Cost of the background's motion from which a pixel counts as changed."""
+    max_initial: int = setting(3, minimum=1)
+    """Maximum number of initial motions that are registered."""
+    max_distance: float = setting(0.3, above=0)
+    """Metres: largest distance to a place where something vanished."""
+    max_points: int = setting(1000, minimum=6)
+    """Maximum number of points that are registered."""
+    min_gain: float = setting(0.7, minimum=0)
+    """Minimum mean cost per pixel that a recovered motion saves against the best known one."""
 
 
 class RecoveredObject(NamedTuple):
@@ -45,10 +57,9 @@ def recover_unexplained(
     assignment: Assignment,
     masks: list[BoolMask],
     motions: list[Float64Array],
-    target: registration.RegistrationTarget,
-    sources: registration.RegistrationSources,
-    curr: RgbdFrame,
+    pair: FramePair,
     movers: PixelMatches,
+    settings: RecoverySettings,
 ) -> list[RecoveredObject]:
     """Motions of regions that neither the background nor any known motion explains.
 
@@ -56,106 +67,113 @@ def recover_unexplained(
         assignment: frames and background, at the size of the masks.
         masks: of the objects known so far.
         motions: `prev_T_curr` of each.
-        target: the previous frame for `rigid`.
-        sources: the current frame for it.
-        curr: the same frame, at the target's size.
+        pair: the frames at the size of registration and matches.
         movers: matches that do not follow the background.
+        settings: see there.
     """
+    frame = pair.curr.frame
     claimed = np.zeros(assignment.valid.shape, bool)
     badly_explained = []
     for mask, motion in zip(masks, motions, strict=True):
-        cost = assignment.cost(motion, assignment.around(assignment.points[mask & assignment.valid]))
-        if float(cost[mask].mean()) > BAD_FIT:
+        cost = assignment.cost(motion, assignment.around_mask(mask))
+        if float(cost[mask].mean()) > settings.bad_fit:
             badly_explained.append(mask)
         else:
             claimed |= mask
-    doubtful = (assignment.background_cost >= 1.5) & assignment.valid & ~assignment.hidden & ~claimed
+    doubtful = (assignment.background_cost >= settings.changed_cost) & assignment.valid & ~assignment.hidden & ~claimed
     for mask in badly_explained:
         doubtful &= ~mask
-    regions = badly_explained + _regions(doubtful, assignment.min_pixels)
-    vanished = _vanished(assignment) if regions else []
+    regions = badly_explained + _regions(doubtful, assignment.min_pixels, settings)
+    vanished = _vanished(assignment, settings) if regions else []
     found = []
     for region in regions:
         wide = (cv2.dilate(region.astype(np.uint8), np.ones((7, 7))) > 0) & ~claimed & assignment.valid
-        own = movers[inside(wide, movers, curr.camera)]
-        box = assignment.around(assignment.points[region & assignment.valid])
-        source = sources.take(upsample_mask(wide, curr), limit=1000)
-        best = _align(assignment, region, target, source, own, _starts(assignment, region, own, vanished))
+        own = movers[inside(wide, movers, frame.camera)]
+        box = assignment.around_mask(region)
+        source = pair.sources.take(upsample_mask(wide, frame.depth.shape), limit=settings.max_points)
+        initial = _initial_motions(assignment, region, own, vanished, settings)
+        best = _register(assignment, region, pair, source, own, initial, settings)
         if best is None:
             continue
         rival = np.minimum.reduce([assignment.background_cost, *[assignment.cost(motion, box) for motion in motions]])
-        if float(assignment.cost(best, box)[region].mean()) < float(rival[region].mean()) - 2 * MIN_GAIN:
-            found.append(RecoveredObject(best, region, _agreeing(own, best, curr.camera)))
+        if float(assignment.cost(best, box)[region].mean()) < float(rival[region].mean()) - settings.min_gain:
+            found.append(RecoveredObject(best, region, _agreeing(own, best, frame.camera, pair.noise)))
     return found
 
 
-def _align(
+def _register(
     assignment: Assignment,
     region: BoolMask,
-    target: registration.RegistrationTarget,
+    pair: FramePair,
     source: registration.RegistrationSource,
     own: PixelMatches,
-    starts: list[Float64Array],
+    initial: list[Float64Array],
+    settings: RecoverySettings,
 ) -> Float64Array | None:
-    """The refined motion that explains a region best, from the most promising of several starts; None without any."""
-    promising = sorted(starts, key=lambda start: -registration.evaluate_registration(target, source, start).fitness)[
-        :MAX_STARTS
+    """The registered motion that explains a region best, from the most promising initial motions; None without any."""
+    target = pair.target
+    promising = sorted(initial, key=lambda start: -registration.evaluate_registration(target, source, start).fitness)[
+        : settings.max_initial
     ]
     refined = [
-        registration.refine(target, source, start, matches=_agreeing(own, start, target.camera)).prev_T_curr
+        registration.refine(
+            target, source, start, matches=_agreeing(own, start, target.camera, pair.noise)
+        ).prev_T_curr
         for start in promising
     ]
-    box = assignment.around(assignment.points[region & assignment.valid])
+    box = assignment.around_mask(region)
     return min(refined, key=lambda motion: float(assignment.cost(motion, box)[region].mean()), default=None)
 
 
-def _regions(doubtful: BoolMask, min_pixels: int) -> list[BoolMask]:
-    """The largest connected doubtful regions, without specks and rims."""
+def _regions(doubtful: BoolMask, min_pixels: int, settings: RecoverySettings) -> list[BoolMask]:
+    """The largest connected regions of a mask, without specks and rims."""
     core = cv2.morphologyEx(doubtful.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
-    ranked = [n for n in np.argsort(-sizes)[:MAX_REGIONS] if sizes[n] >= min_pixels]
+    ranked = [n for n in np.argsort(-sizes)[: settings.max_regions] if sizes[n] >= min_pixels]
     return [numbers == n + 1 for n in ranked]
 
 
-def _vanished(assignment: Assignment) -> list[Float32Array]:
-    """Points of the previous frame that are gone: each region of them as (N, 3)."""
-    points = geometry.back_project(assignment.prev.depth, assignment.prev.camera)
-    cost, hidden = motion_cost(
-        assignment.curr,
-        points,
-        geometry.inverse(assignment.background),
-        (assignment.appearance[1], assignment.appearance[0]),
-    )
-    gone = (cost >= 1.5) & assignment.prev.valid & ~hidden
-    return [points[region] for region in _regions(gone, assignment.min_pixels)]
+def _vanished(assignment: Assignment, settings: RecoverySettings) -> list[Float32Array]:
+    """Points of the previous frame that are gone, as (N, 3) metres per region."""
+    prev = assignment.pair.prev
+    cost, hidden = assignment.vanished_cost()
+    gone = (cost >= settings.changed_cost) & prev.valid & ~hidden
+    return [prev.points[region] for region in _regions(gone, assignment.min_pixels, settings)]
 
 
-def _starts(
-    assignment: Assignment, region: BoolMask, own: PixelMatches, vanished: list[Float32Array]
+def _initial_motions(
+    assignment: Assignment,
+    region: BoolMask,
+    own: PixelMatches,
+    vanished: list[Float32Array],
+    settings: RecoverySettings,
 ) -> list[Float64Array]:
-    """Where to begin: the matches' own fit and their median shift, each place where something vanished."""
+    """Initial motions: the fit to the matches, their median shift, and shifts to where something vanished."""
+    camera = assignment.pair.curr.frame.camera
     center = np.median(assignment.points[region & assignment.valid], axis=0).astype(np.float64)
     here = geometry.transform(assignment.background, center)
-    starts = []
+    initial = []
     if len(own.curr) >= 3:
-        starts.append(_shifted(assignment.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
+        initial.append(_shifted(assignment.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
     if len(own.curr) >= 6:
-        starts.append(fitting.fit_matches(own, assignment.curr.camera)[0])
+        initial.append(fitting.fit_matches(own, camera, noise=assignment.pair.noise)[0])
     for points in vanished:
         shift = np.median(points, axis=0) - here
-        if np.linalg.norm(shift) < MAX_DISTANCE:
-            # Rims overlap: what is newly covered lies ahead of the object, what is laid bare behind it.
-            starts += [_shifted(assignment.background, shift), _shifted(assignment.background, 0.5 * shift)]
-    return starts
+        if np.linalg.norm(shift) < settings.max_distance:
+            # The rim that an object newly covers lies ahead of it and the uncovered one behind, so a shift between
+            # two rims is up to twice too long.
+            initial += [_shifted(assignment.background, shift), _shifted(assignment.background, 0.5 * shift)]
+    return initial
 
 
-def _shifted(background: Float64Array, shift: NDArray[np.floating]) -> Float64Array:
+def _shifted(background: Float64Array, shift: Float64Array | Float32Array) -> Float64Array:
     moved = background.copy()
     moved[:3, 3] += shift
     return moved
 
 
-def _agreeing(matches: PixelMatches, prev_T_curr: Float64Array, camera: Camera) -> PixelMatches:
+def _agreeing(matches: PixelMatches, prev_T_curr: Float64Array, camera: Camera, noise: DepthNoise) -> PixelMatches:
+    """The matches within four standard deviations of a motion."""
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
-    return matches[error < 4 * match_sigma(matches.curr[:, 2], camera)]
+    return matches[error < 4 * noise.match_sigma(matches.curr[:, 2], camera)]

@@ -1,4 +1,4 @@
-"""Where an object may have been: peaks of its colours in the previous frame (histogram back-projection)."""
+"""Positions where an object may have been: peaks of its colours in the previous frame (histogram back-projection)."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ import numpy as np
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
 from objectflow.typing import Float32Array, Float64Array, IndexArray
 
-MAX_POSITIONS = 30
-"""At most."""
 _FULL_WEIGHT_RATIO = 8.0
-"""A colour counts in full that is so many times as frequent in the object as in the image."""
+"""Ratio of a colour's frequency in the object to that in the image from which it has full weight."""
 _UNCHANGED_WEIGHT = 0.3
-"""What a pixel counts for that looks and lies as before: an object that moved was not there."""
+"""Weight of a pixel that did not change: an object that moved was not there."""
 _BINS = (8, 16, 16)
 
 
-def propose_positions(frames: SearchLikelihood, points: Float32Array, appearance: Float32Array) -> Float64Array:
-    """Peaks of "the object's colours, in about its size" in the previous frame (Swain and Ballard 1991).
+def propose_positions(
+    frames: SearchLikelihood, points: Float32Array, appearance: Float32Array, max_positions: int
+) -> Float64Array:
+    """Peaks of the object's colours, at about its size, in the previous frame (Swain and Ballard 1991).
 
     Args:
         frames: both frames.
-        points: (N, 3) metres, of the object in the current frame.
+        points: (N, 3) metres of the object in the current frame.
         appearance: (N, 3), theirs in `frames.curr_appearance`.
+        max_positions: maximum number of positions.
 
     Returns:
-        (P, 3) metres, the best first: where the middle of the points may have been in the previous frame.
+        (P, 3) metres, the best first: possible positions of the points' centre in the previous frame.
     """
     scene = _bins(frames.prev_appearance)
     count = int(np.prod(_BINS))
@@ -34,23 +35,23 @@ def propose_positions(frames: SearchLikelihood, points: Float32Array, appearance
     ratio = (own / max(1, own.sum())) * (scene.size / np.maximum(in_scene, 1))
     likely = np.minimum(ratio / _FULL_WEIGHT_RATIO, 1).astype(np.float32)[scene]
     likely[~frames.changed] *= _UNCHANGED_WEIGHT
-    middle = points.mean(axis=0, dtype=np.float64)
-    size = float(np.sqrt(np.square(points[:, :2] - middle[:2]).sum(axis=1).mean()))
+    center = points.mean(axis=0, dtype=np.float64)
+    size = float(np.sqrt(np.square(points[:, :2] - center[:2]).sum(axis=1).mean()))
     blur = max(1.0, 0.7 * size / float(np.median(points[:, 2])) * frames.camera.fx)
     heat = cv2.GaussianBlur(likely, (0, 0), blur)
     heat[np.isnan(frames.prev_points[..., 2])] = 0
     around = cv2.dilate(heat, np.ones((2 * int(max(1.0, 0.7 * blur)) + 1,) * 2, np.uint8))
     rows, columns = np.nonzero((heat >= around) & (heat > 0))
-    best = np.argsort(-heat[rows, columns], kind="stable")[:MAX_POSITIONS]
+    best = np.argsort(-heat[rows, columns], kind="stable")[:max_positions]
     surface = frames.prev_points[rows[best], columns[best]].astype(np.float64)
-    # The middle lies behind or before the surface by as much as it does now.
-    nearest = np.argsort(np.square(points[:, :2] - middle[:2]).sum(axis=1))[:5]
-    behind = middle[2] - float(np.median(points[nearest, 2]))
+    # The centre lies as far behind the surface as it does in the current frame.
+    nearest = np.argsort(np.square(points[:, :2] - center[:2]).sum(axis=1))[:5]
+    behind = center[2] - float(np.median(points[nearest, 2]))
     return np.asarray(surface * (1 + behind / surface[:, 2:]))
 
 
 def _bins(appearance: Float32Array) -> IndexArray:
-    """Looks are CIELAB with lightness at a quarter: most colours lie in the middle half of its other axes."""
+    """Histogram bins of appearance; most colours lie in the middle half of the colour axes of CIELAB."""
     steps = np.array([8.0, 8.0, 8.0], np.float32)
     low = np.array([0.0, 64.0, 64.0], np.float32)
     cells = np.clip((appearance - low) / steps, 0, np.array(_BINS) - 1).astype(np.intp)

@@ -1,47 +1,98 @@
-"""The order of the steps that follow a network's output."""
+"""The order of the steps between a network's output and the result, and a record of what each step changed.
+
+A step is a pure function `(pair, labels, objects, settings) -> (labels, objects)`.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.refine_objects import refine_objects
-from objectflow.frame import RgbdFrame
-from objectflow.methods.labels import relabel_present
+from objectflow.errors import SettingsError
+from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.mask_edges import snap_to_edges
+from objectflow.methods.postprocess.changes import StepChange, describe_change
 from objectflow.methods.postprocess.merge_fragments import merge_fragments
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
-from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.scoring import set_confidence
+from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.static_test import reject_static
-from objectflow.motion import ObjectMotion
 from objectflow.typing import LabelImage
 
-MIN_STATIC_SCORE = 0.3
-"""Least probability of an object that stands still. What moves gives itself away in other ways, and needs less."""
+Step = Callable[[FramePair, LabelImage, Objects, PostprocessSettings], tuple[LabelImage, Objects]]
+
+
+def _refine(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    return labels, refine_objects(pair, labels, objects, settings.refine)
+
+
+def _snap(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    if settings.label_size is None:
+        return labels, objects
+    height, width = settings.label_size
+    small = pair.curr.resized(width, height).frame
+    return relabel_present(snap_to_edges(labels, small, pair.curr.frame, pair.noise), objects)
+
+
+def _drop_uncertain(
+    _: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    kept = tuple(obj for obj in objects if obj.moving or obj.score >= settings.min_static_score)
+    return relabel_present(labels, kept)
+
+
+STEPS: dict[str, Step] = {
+    "refine": _refine,  # register each object to the previous frame
+    "static_test": reject_static,  # objects without evidence of motion are static
+    "motion_search": search_motions,  # other motions for objects that theirs do not explain
+    "merge": merge_fragments,  # fragments that one motion explains are one body
+    "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
+    "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
+    "missed_objects": recover_missed_objects,  # what changed outside of all objects
+    "confidence": set_confidence,  # scores of moving objects by their likelihood
+}
+"""Every step by its name, in the default order."""
+
+
+def check_steps(settings: PostprocessSettings) -> None:
+    """Check the names of the steps.
+
+    Raises:
+        SettingsError: an unknown step; the message lists the choices.
+    """
+    unknown = [name for name in settings.steps if name not in STEPS]
+    if unknown:
+        raise SettingsError(f"setting postprocess.steps has no step {unknown[0]!r}: choose among {', '.join(STEPS)}")
 
 
 def postprocess(
-    pair: FramePair, curr_s: RgbdFrame, labels: LabelImage, objects: tuple[ObjectMotion, ...]
-) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
-    """What the network said, set right by what the frames show.
+    pair: FramePair,
+    labels: LabelImage,
+    objects: Objects,
+    settings: PostprocessSettings,
+    changes: list[StepChange] | None = None,
+) -> tuple[LabelImage, Objects]:
+    """Apply the steps to a network's output.
 
     Args:
-        pair: the frames, of a camera that stands still.
-        curr_s: the current one as the network saw it.
-        labels: (H, W) int32 on the pixels that it came with.
+        pair: the frames, from a static camera.
+        labels: (H, W) int32 on the pixels of the current frame.
         objects: with the network's motions.
+        settings: the steps and their settings.
+        changes: where given, a description of what each step changed is appended to it.
 
     Returns:
-        Labels and objects, numbered anew from 1.
+        Labels and objects, numbered from 1.
     """
-    likelihood = PairLikelihood(pair.prev, pair.curr, labels)
-    objects = reject_static(likelihood, refine_objects(pair, labels, objects))
-    objects = search_motions(pair.prev, pair.curr, likelihood, objects)
-    labels, objects = merge_fragments(likelihood, labels, objects)
-    # Only now: a mask that ends a little inside its object makes the better motion.
-    labels = snap_to_edges(labels, curr_s, pair.curr)
-    labels, objects = relabel_present(
-        labels, tuple(obj for obj in objects if obj.moving or obj.score >= MIN_STATIC_SCORE)
-    )
-    labels, objects = recover_missed_objects(pair, likelihood, labels, objects)
-    return labels, set_confidence(likelihood, objects)
+    for name in settings.steps:
+        before = labels, objects
+        labels, objects = STEPS[name](pair, labels, objects, settings)
+        if changes is not None:
+            changes.append(describe_change(name, *before, labels, objects))
+    return labels, objects

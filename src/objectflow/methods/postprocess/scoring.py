@@ -1,6 +1,6 @@
-"""How sure a moving object is, by what the frames show of its motion.
+"""Confidence in the motion of each moving object, by its likelihood.
 
-A network's probability tells whether there is an object, and hardly whether its motion is right.
+A network's probability tells whether there is an object, but hardly whether its motion is right.
 """
 
 from __future__ import annotations
@@ -9,30 +9,36 @@ import dataclasses
 
 import numpy as np
 
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import motion_confidence
+from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
-from objectflow.motion import ObjectMotion
+from objectflow.methods.postprocess.settings import PostprocessSettings
+from objectflow.typing import LabelImage
 
 
-def set_confidence(likelihood: PairLikelihood, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
-    """Score moving objects as `consensus` does, by their motion against standing still; see `motion_confidence`.
+def set_confidence(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    """Score moving objects by their motion against standing still; see `motion_confidence`.
 
     Args:
-        likelihood: the frames, with the objects' labels.
+        pair: the frames, from a static camera.
+        labels: (H, W) int32.
         objects: with their final motions.
+        settings: `likelihood` applies.
 
     Returns:
-        The same objects; what stands still keeps its score, and so does what has no pixel with depth.
+        The same labels and objects; static objects and objects without depth keep their score.
     """
-    return tuple(
-        dataclasses.replace(obj, score=_confidence(likelihood, obj))
-        if obj.moving and likelihood.mask(obj.id).any()
-        else obj
-        for obj in objects
-    )
-
-
-def _confidence(likelihood: PairLikelihood, obj: ObjectMotion) -> float:
-    mask = likelihood.mask(obj.id)
-    cost = likelihood.cost(obj.prev_T_curr, mask)
-    return motion_confidence(cost, likelihood.cost(np.eye(4), mask) - cost)
+    likelihood = PairLikelihood(pair, settings.likelihood)
+    small = likelihood.downscale(labels)
+    out = []
+    for obj in objects:
+        mask = likelihood.mask(small, obj.id) if obj.moving else np.zeros(0, bool)
+        if mask.any():
+            cost = likelihood.cost(obj.prev_T_curr, mask)
+            gain = likelihood.cost(np.eye(4), mask) - cost
+            obj = dataclasses.replace(obj, score=motion_confidence(cost, gain))  # noqa: PLW2901
+        out.append(obj)
+    return labels, tuple(out)

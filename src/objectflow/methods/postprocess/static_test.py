@@ -1,7 +1,6 @@
-"""What moved and what did not: each object's motion against standing still, by what the previous frame shows.
+"""The static test: whether an object moved, by its motion's likelihood against that of standing still.
 
-A network is never wholly still: where depth is noisy, or where something else was lifted away, it says that things
-moved a little. The frames can refute that.
+Networks predict small spurious motions where depth is noisy or where another object was lifted away.
 """
 
 from __future__ import annotations
@@ -11,84 +10,83 @@ from typing import NamedTuple
 
 import numpy as np
 
-from objectflow.alignment.likelihood import COST_FREE_SPACE_VIOLATION
-from objectflow.alignment.moved import is_moving
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.geometry.moved import is_moving
+from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.motion import ObjectMotion
-from objectflow.typing import Float32Array
-
-MIN_GAIN = 0.2
-"""Mean log-likelihood a pixel that a motion has to win over standing still."""
-INLIER_COST = 1.0
-"""Cost up to which a pixel is explained."""
-STATIC_INLIER_RATIO = 0.2
-"""Share of an object's pixels that standing still explains: with as many it does not speak against it."""
-FREE_SPACE_VIOLATION_RATIO = 0.02
-"""Share of the pixels that, standing still, would hang in front of what was seen: a few do at any depth edge."""
-NETWORK_CONFIDENCE = 0.6
-"""Probability of an object from which the network is believed where the frames say nothing."""
+from objectflow.typing import Float32Array, LabelImage
 
 
 class MotionEvidence(NamedTuple):
-    """What the previous frame says of one object.
+    """Evidence that an object moved.
 
     Attributes:
-        gain: mean log-likelihood of a pixel under the object's motion, less that of standing still.
-        stands: share of the pixels that standing still explains.
-        impossible: share of the pixels that, had they stood still, would hang in front of what was seen.
+        gain: mean log-likelihood of a pixel under the object's motion minus that of standing still.
+        static_inliers: share of the pixels that standing still explains.
+        violations: share of the pixels that would violate free space if they had stood still.
     """
 
     gain: float
-    stands: float
-    impossible: float
+    static_inliers: float
+    violations: float
 
-    def moved(self, score: float) -> bool:
+    def moved(self, score: float, settings: StaticTestSettings) -> bool:
         """Whether the object moved.
 
-        It did if its motion explains it better than standing still does. A wrong motion explains nothing; then it
-        moved if it cannot have stood still, or, if it would merely have been hidden, by the network's word: what was
-        lifted away leaves hidden things behind that never moved.
+        It moved if its motion explains it better than standing still does. A wrong motion explains nothing; then the
+        object moved if it cannot have stood still, or, where it would merely have been hidden, if the network is
+        confident: lifting an object away uncovers hidden objects that never moved.
 
         Args:
-            score: 0..1, how sure the network is.
+            score: 0..1, the network's probability of the object.
+            settings: see there.
         """
-        if self.gain > MIN_GAIN:
+        if self.gain > settings.min_gain:
             return True
-        return self.stands < STATIC_INLIER_RATIO and (
-            self.impossible > FREE_SPACE_VIOLATION_RATIO or score > NETWORK_CONFIDENCE
-        )
+        violates = self.violations > settings.free_space_violation_ratio
+        return self.static_inliers < settings.static_inlier_ratio and (violates or score > settings.network_confidence)
 
 
-def reject_static(likelihood: PairLikelihood, objects: tuple[ObjectMotion, ...]) -> tuple[ObjectMotion, ...]:
-    """Give objects that stand still, as far as the frames can tell, the identity for a motion, and say so.
+def reject_static(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    """Give objects without evidence of motion the identity as motion, and mark them as static.
 
     Args:
-        likelihood: the frames, with the objects' labels.
-        objects: with their final motions.
+        pair: the frames, from a static camera.
+        labels: (H, W) int32.
+        objects: with their motions.
+        settings: `static_test` and `likelihood` apply.
 
     Returns:
-        The same objects. `moving` is decided anew: by the motion's size, and by `MotionEvidence`.
+        The same labels and objects; `moving` is decided anew by the size of the motion and the evidence.
     """
+    likelihood = PairLikelihood(pair, settings.likelihood)
+    small, test = likelihood.downscale(labels), settings.static_test
     out = []
     for obj in objects:
-        moving = bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation))
+        moving = bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, test.static_displacement))
         motion = obj.prev_T_curr
         if moving:
-            found = find_evidence(likelihood, obj)
-            moving = found is None or found.moved(obj.score)
+            evidence = find_evidence(likelihood, small, obj, settings)
+            moving = evidence is None or evidence.moved(obj.score, test)
             motion = motion if moving else np.eye(4)
         out.append(dataclasses.replace(obj, prev_T_curr=motion, moving=moving))
-    return tuple(out)
+    return labels, tuple(out)
 
 
-def find_evidence(likelihood: PairLikelihood, obj: ObjectMotion) -> MotionEvidence | None:
+def find_evidence(
+    likelihood: PairLikelihood, small: LabelImage, obj: ObjectMotion, settings: PostprocessSettings
+) -> MotionEvidence | None:
     """The evidence on one object; None where none of its pixels has depth."""
-    mask = likelihood.mask(obj.id)
+    mask = likelihood.mask(small, obj.id)
     if not mask.any():
         return None
-    still: Float32Array = likelihood.cost(np.eye(4), mask)
+    static: Float32Array = likelihood.cost(np.eye(4), mask)
     return MotionEvidence(
-        gain=float((still - likelihood.cost(obj.prev_T_curr, mask)).mean()),
-        stands=float((still < INLIER_COST).mean()),
-        impossible=float((still >= COST_FREE_SPACE_VIOLATION).mean()),
+        gain=float((static - likelihood.cost(obj.prev_T_curr, mask)).mean()),
+        static_inliers=float((static < settings.static_test.inlier_cost).mean()),
+        violations=float((static >= settings.likelihood.free_space_violation).mean()),
     )

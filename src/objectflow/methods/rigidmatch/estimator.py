@@ -1,104 +1,123 @@
-"""`rigidmatch` as an estimator: two frames, matches, objects as a set, solved motions."""
+"""`rigidmatch` as an estimator: two frames, matches, objects as a set, solved motions, and the steps after them."""
 
 from __future__ import annotations
 
-import time
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
-from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import nearest_indices
-from objectflow.methods.base import check_camera_option
 from objectflow.methods.find_weights import find_weights
 from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.methods.mask_edges import snap_to_edges
-from objectflow.methods.network_io import resize_to, to_tensors, trained_size
-from objectflow.methods.postprocess.pipeline import postprocess
-from objectflow.methods.rigidmatch.decoding import MIN_PIXELS, OBJECT_MASK_THRESHOLD, decode, matched_flow
+from objectflow.methods.moving_camera import CompensationConfig, StaticCameraEstimator
+from objectflow.methods.network_io import same_size_groups, scaled_size, to_tensors, trained_size
+from objectflow.methods.postprocess.changes import StepChange
+from objectflow.methods.postprocess.pipeline import check_steps, postprocess
+from objectflow.methods.postprocess.settings import PostprocessSettings
+from objectflow.methods.rigidmatch.decoding import (
+    MIN_PIXELS,
+    OBJECT_MASK_THRESHOLD,
+    decode,
+    matched_flow,
+    select,
+)
 from objectflow.motion import SceneMotion
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
 from objectflow.networks.weights import load_network
 from objectflow.runtime.devices import find_device
-
-Rigid = Literal["none", "solve", "refine"]
+from objectflow.settings import setting
 
 
 @dataclass(frozen=True)
-class RigidMatchEstimator:
-    """A trained `RigidMatch`.
+class RigidMatchConfig(CompensationConfig):
+    """The settings of `rigidmatch`."""
 
-    Attributes:
-        camera: whatever it says, the network takes the camera to stand still, and the flow off the objects is 0.
-            `objectflow.load` makes it fit for one that moves; see `MovingCamera`.
-        weights: a file, a folder, or `hf://OWNER/NAME`; None takes the released ones. Afterwards the file found.
-        rigid: "none" gives each pixel of an object its own match's flow, "solve" the flow of the motion that fits the
-            object's matches best, "refine" that of the motion aligned with the previous frame's depth.
-        device: "auto", "cpu", "cuda" or "cuda:N".
-        threshold: least probability of being an object.
-        min_pixels: of the network's input; fewer are no object.
-    """
+    weights: str | Path | None = None
+    """A file, a folder, or hf://OWNER/NAME; the released weights where none is given."""
+    rigid: Literal["none", "solve", "refine"] = "refine"
+    """none: flow of each pixel's own match. solve: flow of the motion that fits an object's matches best. refine: the
+    steps of `postprocess` follow."""
+    device: str = "auto"
+    """auto, cpu, cuda or cuda:N."""
+    threshold: float = setting(OBJECT_MASK_THRESHOLD, minimum=0, below=1)
+    """Minimum probability of an object."""
+    min_pixels: int = setting(MIN_PIXELS, minimum=1)
+    """Minimum size of an object, in pixels of the network's input."""
+    explain: bool = False
+    """Record what each step after the network changed, in `SceneMotion.changes`."""
+    postprocess: PostprocessSettings = PostprocessSettings()
+
+
+@dataclass(frozen=True)
+class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
+    """A trained `RigidMatch`; its fields are its settings. `weights` becomes the file that was found."""
 
     METHOD: ClassVar[str] = "rigidmatch"
 
-    camera: str = "auto"
-    weights: str | Path | None = None
-    rigid: Rigid = "refine"
-    device: str = "auto"
-    threshold: float = OBJECT_MASK_THRESHOLD
-    min_pixels: int = MIN_PIXELS
     network: RigidMatch = field(init=False, repr=False, compare=False)
     size: tuple[int, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_camera_option(self.camera)
-        if self.rigid not in get_args(Rigid):
-            raise MethodError(f"rigid must be none, solve or refine, not {self.rigid!r}")
-        if not 0 <= self.threshold < 1 or self.min_pixels < 1:
-            raise MethodError(
-                "rigidmatch needs a threshold in 0..1, below 1, and min_pixels from 1, "
-                f"not {self.threshold} and {self.min_pixels}"
-            )
+        super().__post_init__()
+        check_steps(self.postprocess)
         device = find_device(self.device)
         path = find_weights(self.METHOD, self.weights)
         network, metadata = load_network(path, device)
         if not isinstance(network, RigidMatch):
             variant = metadata.get("variant", "another network")
             raise MethodError(f"{path}: weights of {variant}, not of {self.METHOD}: load them by their own name")
-        # A frozen dataclass sets what follows from its options once, here.
+        # A frozen dataclass sets what follows from its settings once, here.
         object.__setattr__(self, "size", trained_size(metadata, path))
         object.__setattr__(self, "weights", path)
         object.__setattr__(self, "network", network.to(memory_format=torch.channels_last))  # type: ignore[call-overload]
 
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`."""
-        return self.estimate(prev, curr, FramePair(prev, curr))
+    def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
+        """See `StaticCameraEstimator`; the network is evaluated once for all pairs of one size."""
+        motions: dict[int, SceneMotion] = {}
+        for group in same_size_groups([scaled_size(pair.curr.frame, self.size) for pair in pairs]):
+            height, width = group.size
+            small = [
+                (pairs[k].prev.resized(width, height), pairs[k].curr.resized(width, height)) for k in group.members
+            ]
+            output, points = self.predict([one.frame for one, _ in small], [other.frame for _, other in small])
+            for place, k in enumerate(group.members):
+                motions[k] = self._finish(pairs[k], select(output, place), points[place : place + 1], group.size)
+        return [motions[k] for k in range(len(pairs))]
 
-    def estimate(self, prev: RgbdFrame, curr: RgbdFrame, pair: FramePair) -> SceneMotion:
-        """The same with the frames made ready for alignment by whoever needed them before."""
-        start = time.perf_counter()
-        check_pair(prev, curr)
-        # 1. The network, at the size that it knows.
-        prev_s, curr_s = resize_to(prev, self.size), resize_to(curr, self.size)
-        output, seen = self.predict(prev_s, curr_s)
-        # 2. Objects.
-        labels_s, objects = decode(output, curr_s.depth.shape, threshold=self.threshold, min_pixels=self.min_pixels)
-        # 3. The input's own pixels.
+    def predict(self, prev: Sequence[RgbdFrame], curr: Sequence[RgbdFrame]) -> tuple[RigidMatchOutput, Tensor]:
+        """The network's output on pairs of frames of one size, and the current points (B, 3, H, W) in metres."""
+        device = next(self.network.parameters()).device
+        with torch.inference_mode():
+            curr_color, curr_points = to_tensors(curr, device)
+            out: RigidMatchOutput = self.network(*to_tensors(prev, device), curr_color, curr_points, table=False)
+        return out, curr_points
+
+    def _finish(self, pair: FramePair, output: RigidMatchOutput, seen: Tensor, size: tuple[int, int]) -> SceneMotion:
+        """One pair's output as objects on the pixels of its current frame."""
+        curr, points = pair.curr.frame, pair.curr.points
+        # 1. Objects on the network's input.
+        labels_s, objects = decode(output, size, threshold=self.threshold, min_pixels=self.min_pixels)
+        # 2. The pixels of the frame.
         rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
         labels, objects = relabel_present(labels_s[rows[:, None], columns], objects)
-        # 4. Motions that the frames bear out, objects that the network missed, and borders.
+        # 3. The steps that verify and complete them.
+        changes: list[StepChange] | None = [] if self.explain else None
         if self.rigid == "refine":
-            labels, objects = postprocess(pair, curr_s, labels, objects)
+            settings = dataclasses.replace(self.postprocess, label_size=size)
+            labels, objects = postprocess(pair, labels, objects, settings, changes)
         else:
-            labels, objects = relabel_present(snap_to_edges(labels, curr_s, curr), objects)
-        # 5. The flow that they make.
-        points = geometry.back_project(curr.depth, curr.camera)
+            small = pair.curr.resized(size[1], size[0]).frame
+            labels, objects = relabel_present(snap_to_edges(labels, small, curr, pair.noise), objects)
+        # 4. The flow of their motions.
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)
         else:
@@ -108,13 +127,5 @@ class RigidMatchEstimator:
             scene_flow=flow,
             objects=objects,
             method=self.METHOD,
-            seconds=time.perf_counter() - start,
+            changes=tuple(f"{c.step}: {c.words()}" for c in changes or ()),
         )
-
-    def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> tuple[RigidMatchOutput, Tensor]:
-        """The network's output on frames of any one size, and the current points (1, 3, H, W) that it was shown."""
-        device = next(self.network.parameters()).device
-        with torch.inference_mode():
-            seen = to_tensors(curr, device)
-            out: RigidMatchOutput = self.network(*to_tensors(prev, device), *seen, table=False)
-        return out, seen[1]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.alignment.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.errors import GeometryError
+from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.motion import ObjectMotion
 from objectflow.typing import Float64Array, LabelImage
 
@@ -91,7 +91,4 @@ def mean_rotation(matrix_mean: Float64Array) -> Float64Array:
     Returns:
         (..., 3, 3) rotations. Where the rotations cancel out, one of the many minimisers.
     """
-    U, _, Vt = np.linalg.svd(matrix_mean)
-    sign = np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)
-    U[..., :, 2] *= sign[..., None]
-    return np.asarray(U @ Vt)
+    return geometry.nearest_rotation(matrix_mean)[0]

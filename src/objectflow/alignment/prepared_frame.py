@@ -1,0 +1,108 @@
+"""One frame with everything that alignment needs of it, each part computed when it is first used, and once."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from objectflow import geometry
+from objectflow.alignment.appearance import AppearanceFeatures, to_gray
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.normals import surface_normals
+from objectflow.typing import BoolMask, Float32Array, UInt8Array
+
+GRAY_BLURS = (3.0, 1.0)
+"""Standard deviations in pixels of the blurred grey images, coarse to fine: a coarse image has a wide basin of
+convergence, a fine one is exact."""
+MAX_FEATURES = 1500
+"""Maximum number of SIFT features per frame."""
+
+
+class Keypoints(NamedTuple):
+    """SIFT features (Lowe, IJCV 2004) with RootSIFT descriptors (Arandjelovic and Zisserman, CVPR 2012).
+
+    Attributes:
+        pixels: (N, 2) float32 (u, v).
+        descriptors: (N, 128) float32 of unit length.
+    """
+
+    pixels: Float32Array
+    descriptors: Float32Array
+
+
+class PreparedFrame:
+    """A frame, its downscaled versions, and what is derived from its images.
+
+    Attributes:
+        frame: the frame itself.
+    """
+
+    def __init__(self, frame: RgbdFrame) -> None:
+        self.frame = frame
+        self._resized: dict[tuple[int, int], PreparedFrame] = {}
+
+    @classmethod
+    def of(cls, frame: RgbdFrame | PreparedFrame) -> PreparedFrame:
+        """The frame prepared; a prepared one as it is."""
+        return frame if isinstance(frame, PreparedFrame) else cls(frame)
+
+    def at_width(self, width: int) -> PreparedFrame:
+        """The frame downscaled to a width in pixels; itself where it is no wider."""
+        camera = self.frame.camera
+        if camera.width <= width:
+            return self
+        return self.resized(width, max(1, round(camera.height * width / camera.width)))
+
+    def resized(self, width: int, height: int) -> PreparedFrame:
+        """The frame at another size, in pixels."""
+        if (height, width) == self.frame.depth.shape:
+            return self
+        if (width, height) not in self._resized:
+            self._resized[width, height] = PreparedFrame(self.frame.resized(width, height))
+        return self._resized[width, height]
+
+    @property
+    def valid(self) -> BoolMask:
+        """(H, W) bool: pixels with depth."""
+        return self.frame.valid
+
+    @cached_property
+    def points(self) -> Float32Array:
+        """(H, W, 3) metres in the camera frame; NaN where depth is missing."""
+        return geometry.back_project(self.frame.depth, self.frame.camera)
+
+    @cached_property
+    def normals(self) -> Float32Array:
+        """(H, W, 3) unit normals toward the camera; NaN on holes and across depth edges."""
+        return surface_normals(self.frame.depth, self.frame.camera)
+
+    @cached_property
+    def gray(self) -> UInt8Array:
+        """(H, W) grey levels."""
+        return to_gray(self.frame.color)
+
+    @cached_property
+    def blurred(self) -> tuple[Float32Array, ...]:
+        """(H, W) grey levels, blurred by each of `GRAY_BLURS`."""
+        base = self.gray.astype(np.float32)
+        return tuple(np.asarray(cv2.GaussianBlur(base, (0, 0), sigma), dtype=np.float32) for sigma in GRAY_BLURS)
+
+    @cached_property
+    def appearance(self) -> AppearanceFeatures:
+        """Colour in channels that change little with the light."""
+        return AppearanceFeatures(self.frame.color)
+
+    @cached_property
+    def keypoints(self) -> Keypoints:
+        """SIFT features of the grey image."""
+        # A low contrast threshold: tables and packaging have little contrast, and the ratio test of matching removes
+        # what is ambiguous.
+        sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=0.02)
+        found, words = sift.detectAndCompute(self.gray, None)
+        if not len(found):
+            return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+        root = np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7))
+        return Keypoints(np.array([key.pt for key in found], np.float32), np.asarray(root, dtype=np.float32))

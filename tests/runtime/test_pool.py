@@ -1,0 +1,61 @@
+"""Pools yield results in the order of the jobs and raise the errors of jobs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from objectflow.errors import DatasetError, MethodError
+from objectflow.runtime.make_pool import make_pool
+from objectflow.runtime.pool import MAX_AHEAD, in_order
+
+
+def square(number: int) -> int:
+    if number < 0:
+        raise DatasetError(f"{number} is negative")
+    time.sleep(0.02 * (number % 3))
+    return number * number
+
+
+def make_square() -> Callable[[int], int]:
+    return square
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_the_order_of_the_jobs(workers: int) -> None:
+    pool = make_pool(make_square, workers)
+    try:
+        assert list(pool.run(iter(range(9)))) == [number * number for number in range(9)]
+        assert list(pool.run([])) == []
+        with pytest.raises(DatasetError, match="-1 is negative"):
+            list(pool.run([2, -1, 3]))
+    finally:
+        pool.close()
+
+
+def test_less_than_one_worker_is_refused() -> None:
+    with pytest.raises(MethodError, match="--workers must be at least 1, not 0"):
+        make_pool(make_square, 0)
+
+
+def test_jobs_are_drawn_only_a_few_ahead_of_the_results() -> None:
+    drawn: list[int] = []
+    queue: list[tuple[str, int]] = []
+
+    def jobs() -> object:
+        for number in range(100):
+            drawn.append(number)
+            yield number
+
+    def receive(busy: list[str]) -> tuple[str, int]:
+        # The second worker answers first, as long as it is busy.
+        worker, number = next((entry for entry in queue if entry[0] == "b"), queue[0])
+        queue.remove((worker, number))
+        return worker, number
+
+    results = in_order(jobs(), ["a", "b"], lambda worker, job: queue.append((worker, job)), receive)  # type: ignore[arg-type, var-annotated]
+    for expected in range(20):
+        assert next(results) == expected
+        assert len(drawn) <= expected + 1 + 2 * MAX_AHEAD
