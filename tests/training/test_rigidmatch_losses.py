@@ -27,7 +27,7 @@ from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_losses import (
     flow_term,
     match_term,
-    place_term,
+    position_term,
     rigidmatch_losses,
     vote_terms,
     window_term,
@@ -78,7 +78,7 @@ def true_cells_of(prepared: Prepared, stride: int, b: int, row: int, column: int
         return "unknown", {}
     x, y = (prepared.matches[b, :, row * stride, column * stride] / stride).tolist()
     if math.isnan(x):
-        return "hidden", {}
+        return "occluded", {}
     labels, before = (
         prepared.batch.curr_labels[b, ::stride, ::stride],
         prepared.batch.prev_labels[b, ::stride, ::stride],
@@ -106,7 +106,7 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
     for b, row, column in np.ndindex(2, own_height, own_width):
         kind, shares = true_cells_of(prepared, STRIDE, b, row, column)
         kinds.append(kind)
-        assert bool(truth.coarse.hidden[b, row, column]) == (kind == "hidden")
+        assert bool(truth.coarse.occluded[b, row, column]) == (kind == "occluded")
         pairs = zip(
             truth.coarse.cell[b, :, row, column].tolist(), truth.coarse.share[b, :, row, column].tolist(), strict=True
         )
@@ -114,8 +114,8 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
         assert {cell: share for cell, share in pairs if share > 0} == pytest.approx(expected, abs=1e-5)
         weight = 1.0 if prepared.targets.mask[b, row * STRIDE, column * STRIDE] else 0.25
         at = row * width + column
-        logits = torch.cat([output.scores[b, at], output.hidden[b, at : at + 1]]).log_softmax(0)
-        if kind == "hidden":
+        logits = torch.cat([output.scores[b, at], output.dustbin[b, at : at + 1]]).log_softmax(0)
+        if kind == "occluded":
             top, bottom = top - weight * float(logits[-1]), bottom + weight
         elif shares:
             for cell, share in shares.items():
@@ -187,7 +187,7 @@ def test_the_flow_term_is_the_mean_of_objects_means(prepared: Prepared) -> None:
     for b, k in ((0, 0), (0, 1), (1, 0)):
         R, t = output.rotation[b, query[b, k]], output.translation[b, query[b, k]]
         errors = [
-            float((R @ truth.points[b, :, r, c] + t - truth.fine_place[b, :, r, c]).norm())
+            float((R @ truth.points[b, :, r, c] + t - truth.fine_position[b, :, r, c]).norm())
             for r, c in np.ndindex(*truth.owner.shape[1:])
             if truth.owner[b, r, c] == k and truth.measured[b, r, c]
         ]
@@ -200,14 +200,14 @@ def test_the_truth_costs_nothing(prepared: Prepared) -> None:
     made = output_of(prepared)
     height, width = truth.owner.shape[1:]
     made = made._replace(
-        match=truth.fine_place,
-        coarse_match=truth.coarse_place,
+        match=truth.fine_position,
+        coarse_match=truth.coarse_position,
         votes=truth.votes,
         rotation=torch.eye(3).expand_as(made.rotation),
         translation=prepared.batch.table.translation[:, [0, 1, 0, 0]],
     )
     assert (height, width) == (12, 16)
-    assert float(place_term(made, truth)) < 1e-5
+    assert float(position_term(made, truth)) < 1e-5
     assert float(vote_terms(made, truth)["votes"]) < 1e-5
     both = torch.ones(2, 2, dtype=torch.bool)
     assert float(flow_term(made, truth, torch.tensor([[0, 1], [0, 1]]), both)) < 1e-5

@@ -13,7 +13,6 @@ from objectflow.errors import TrainingError
 from objectflow.methods.sceneflownet.grouping import GroupingSettings
 from objectflow.networks import NetworkSettings
 from objectflow.networks.rigidmatch import RigidMatchSettings
-from objectflow.networks.rigidmatch.settings import SMALL
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.sceneflownet_losses import SceneFlowNetLossSettings
 
@@ -125,6 +124,11 @@ class Recipe:
         return dataclasses.replace(self.network, correlation=self.variant != "s")
 
     @property
+    def median_depth(self) -> float:
+        """Metres to which each pair's median depth is brought before the network; 0 leaves depth as it is."""
+        return self.rigid.median_depth if self.variant == "rigidmatch" else 0.0
+
+    @property
     def loss_settings(self) -> SceneFlowNetLossSettings:
         """The losses of this variant."""
         return dataclasses.replace(self.loss, vl=self.variant == "c-vl")
@@ -233,7 +237,6 @@ RECIPES: dict[str, Recipe] = {
         validation_pairs=64,
         workers=0,
         network=_NARROW,
-        rigid=SMALL,
         loss=_FAST,
     ),
 }

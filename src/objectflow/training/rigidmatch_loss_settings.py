@@ -16,12 +16,12 @@ class RigidMatchLossSettings:
     """
 
     match: float = 2.0
-    """Negative log-likelihood of the true cell, from both frames' sides, or of "hidden"."""
+    """Negative log-likelihood of the true cell, from both frames' sides, or of the dustbin."""
     window: float = 1.0
     """The same within the last small window."""
-    place: float = 20.0
-    """Metres between a cell's expected and true place in the previous frame, on both grids."""
-    reliability: float = 0.5
+    position: float = 20.0
+    """Metres between a cell's expected and true position in the previous frame, on both grids."""
+    match_confidence: float = 0.5
     """Cross entropy of "within 2 cm"."""
     foreground: float = 1.0
     """Cross entropy of object or not, every cell."""
@@ -43,7 +43,7 @@ class RigidMatchLossSettings:
     moves: float = 0.5
     """Cross entropy of moving or not, of matched queries."""
     background: float = 0.1
-    """Weight of a cell off the objects in the means of match, window, place and reliability."""
+    """Weight of a cell off the objects in the means of match, window, position and match_confidence."""
 
     def __post_init__(self) -> None:
         for one in fields(self):

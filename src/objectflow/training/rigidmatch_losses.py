@@ -6,8 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
-from objectflow.networks.rigidmatch.refinement import mix_neighbors
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, upsampled_masks
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_targets import Cells, RigidMatchTargets, make_rigidmatch_targets
@@ -44,8 +43,8 @@ def rigidmatch_losses(
         terms = {
             "match": match_term(output, truth),
             "window": window_term(output, truth),
-            "place": place_term(output, truth),
-            "reliability": reliability_term(output, truth),
+            "position": position_term(output, truth),
+            "match_confidence": match_confidence_term(output, truth),
         } | vote_terms(output, truth)
         terms |= object_terms(output, truth, prepared, settings)
         total = torch.stack([getattr(settings, name) * term for name, term in terms.items()]).sum()
@@ -55,27 +54,28 @@ def rigidmatch_losses(
 def cropped(output: RigidMatchOutput, truth: RigidMatchTargets) -> RigidMatchOutput:
     """The output without the cells that lie beyond the image's edge, but for `scores` and what belongs to them."""
     height, width = truth.owner.shape[-2:]
-    dense = ("match", "window_logits", "window_center", "reliability", "foreground", "seed", "votes", "masks")
+    dense = ("match", "window_logits", "window_center", "match_confidence", "foreground", "seed", "votes", "masks")
     changes = {name: getattr(output, name)[..., :height, :width] for name in dense}
-    return output._replace(**changes, upsampling=output.upsampling[..., :height, :width])
+    details = output.details[..., : 2 * height, : 2 * width]
+    return output._replace(**changes, upsampling=output.upsampling[..., :height, :width], details=details)
 
 
 def match_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """-log of the true cell's probability over rows and over columns, or of 'hidden': the mean over cells."""
+    """-log of the true cell's probability over rows and over columns, or of the dustbin: the mean over cells."""
     height, width = output.coarse_match.shape[-2:]
     index, share = _padded(truth.coarse.cell, truth.coarse, height, width), truth.coarse.share
-    share, weight, hidden = (
+    share, weight, occluded = (
         F.pad(one, (0, width - one.shape[-1], 0, height - one.shape[-2]))
-        for one in (share, truth.coarse_weight, truth.coarse.hidden)
+        for one in (share, truth.coarse_weight, truth.coarse.occluded)
     )
     at, part = index.flatten(2).mT, share.flatten(2).mT
     scores = output.scores.gather(2, at)
-    part = part * (scores > _BARRED)  # beyond the window of windowed matching
+    part = part * (scores > _BARRED)  # cells without depth cannot be a match
     found = (part * (2 * scores - output.rows[..., None] - output.columns.gather(1, at.flatten(1)).view_as(at))).sum(2)
     known = part.sum(2) > 0
-    lost = hidden.flatten(1)
-    # Two terms for a match, one for 'hidden', which has no column.
-    total = -torch.where(known, 0.5 * found, torch.where(lost, output.hidden - output.rows, 0.0))
+    lost = occluded.flatten(1)
+    # Two terms for a match, one for the dustbin, which has no column.
+    total = -torch.where(known, 0.5 * found, torch.where(lost, output.dustbin - output.rows, 0.0))
     return _mean(total, weight.flatten(1) * (known | lost))
 
 
@@ -103,21 +103,21 @@ def window_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     return _mean(-(share * logs).sum(1) / share.sum(1).clamp_min(0.5), truth.fine_weight * known)
 
 
-def place_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """Metres from the expected to the true place, where the previous frame shows it; the mean of both grids."""
+def position_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
+    """Metres from the expected to the true position, where the previous frame shows it; the mean of both grids."""
     height, width = truth.coarse_weight.shape[-2:]
-    coarse = _length(output.coarse_match[..., :height, :width] - truth.coarse_place)
-    fine = _length(output.match - truth.fine_place)
+    coarse = _length(output.coarse_match[..., :height, :width] - truth.coarse_position)
+    fine = _length(output.match - truth.fine_position)
     return 0.5 * (
         _mean(coarse, truth.coarse_weight * truth.coarse.seen) + _mean(fine, truth.fine_weight * truth.fine.seen)
     )
 
 
-def reliability_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
+def match_confidence_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     """Cross entropy of "this match is within 2 cm of the truth"."""
-    error = _length(output.match.detach() - truth.fine_place)
+    error = _length(output.match.detach() - truth.fine_position)
     right = ((error < _RIGHT) & truth.fine.seen).float()
-    entropy = F.binary_cross_entropy_with_logits(output.reliability[:, 0], right, reduction="none")
+    entropy = F.binary_cross_entropy_with_logits(output.match_confidence[:, 0], right, reduction="none")
     return _mean(entropy, truth.fine_weight)
 
 
@@ -155,7 +155,7 @@ def object_terms(
         "dice": _mean(_of(costs.dice, at), found),
     }
     last, kept = at[-1], found[-1]
-    terms["pixels"] = _pixel_term(output, prepared, last, kept)
+    terms["pixels"] = pixel_term(output, prepared, last, kept)
     both = kept & truth.in_both
     terms["flow"] = flow_term(output, truth, last, both)
     moves = F.binary_cross_entropy_with_logits(output.moves.gather(1, last), truth.moves.float(), reduction="none")
@@ -167,14 +167,19 @@ def _of(costs: Tensor, query: Tensor) -> Tensor:
     return costs.gather(2, query[:, :, None])[:, :, 0]
 
 
-def _pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
-    """Cross entropy and dice of the matched masks at every pixel."""
-    K = query.shape[1]
+def pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
+    """Cross entropy and dice of the matched masks on the finest grid."""
+    # Each pair's matched objects first, and no column that is empty in all pairs.
+    most = max(1, int(kept.sum(1).max()))
+    rows = (~kept).to(torch.uint8).argsort(dim=1, stable=True)[:, :most]
+    query, kept = query.gather(1, rows), kept.gather(1, rows)
     chosen = output.masks[-1].gather(1, query[..., None, None].expand(-1, -1, *output.masks.shape[-2:]))
-    index = prepared.targets.index
-    height, width = index.shape[-2:]
-    logits = mix_neighbors(chosen, output.upsampling)[..., :height, :width].flatten(2)
-    true = (index[:, None] == torch.arange(K, device=index.device)[:, None, None]).flatten(2).to(logits.dtype)
+    queries = output.detail_queries.gather(1, query[..., None].expand(-1, -1, output.detail_queries.shape[-1]))
+    logits = upsampled_masks(chosen, output.upsampling, queries, output.details)
+    step = 1 if not queries.shape[-1] else 2
+    index = prepared.targets.index[:, ::step, ::step]
+    logits = logits[..., : index.shape[-2], : index.shape[-1]].flatten(2)
+    true = (index[:, None] == rows[..., None, None]).flatten(2).to(logits.dtype)
     area, inside = true.sum(2), logits.sigmoid()
     entropy = (F.softplus(logits) - logits * true).sum(2) / (area + logits.shape[2] / 32)
     dice = 1 - (2 * (inside * true).sum(2) + 1) / (inside.sum(2) + area + 1)
@@ -188,8 +193,8 @@ def flow_term(output: RigidMatchOutput, truth: RigidMatchTargets, query: Tensor,
     own_query = query.gather(1, owner)
     R = output.rotation.flatten(2).gather(1, own_query[..., None].expand(-1, -1, 9)).reshape(batch, -1, 3, 3)
     t = output.translation.gather(1, own_query[..., None].expand(-1, -1, 3))
-    points, place = truth.points.flatten(2).mT, truth.fine_place.flatten(2).mT
-    error = ((R @ points[..., None])[..., 0] + t - place).square().sum(-1).clamp_min(1e-12).sqrt()
+    points, true = truth.points.flatten(2).mT, truth.fine_position.flatten(2).mT
+    error = ((R @ points[..., None])[..., 0] + t - true).square().sum(-1).clamp_min(1e-12).sqrt()
     counted = ((truth.owner >= 0) & truth.measured).flatten(1).float()
     zeros = error.new_zeros(batch, K)
     sums = zeros.scatter_add(1, owner, error * counted)

@@ -1,4 +1,4 @@
-"""What `RigidMatch` should say, on its grids: true cells, true places, masks; from exact depth and motion."""
+"""Training targets of `RigidMatch` on its grids: true cells, positions, masks; from exact depth and motion."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Cells(NamedTuple):
         cell: (B, 4, h, w) int64 into the previous grid, row first.
         share: (B, 4, h, w) bilinear, only of cells with depth and of the same object; sums to 1, or to 0 where no
             cell is known.
-        hidden: (B, h, w) bool: the previous frame does not show the point.
+        occluded: (B, h, w) bool: the previous frame does not show the point.
         seen: (B, h, w) bool: it does.
         column, row: (B, h, w) the match in cells; 0 where not seen.
     """
 
     cell: Tensor
     share: Tensor
-    hidden: Tensor
+    occluded: Tensor
     seen: Tensor
     column: Tensor
     row: Tensor
@@ -39,7 +39,7 @@ class RigidMatchTargets(NamedTuple):
 
     Attributes:
         coarse, fine: matches of both grids.
-        coarse_place, fine_place: (B, 3, h, w) metres: where each cell's point was.
+        coarse_position, fine_position: (B, 3, h, w) metres: where each cell's point was.
         coarse_weight, fine_weight: (B, h, w) of each cell in means over matches; 0 without exact depth.
         points: (B, 3, H, W) metres, exact points of the fine grid; 0 where missing.
         measured: (B, H, W) bool: where there are.
@@ -52,8 +52,8 @@ class RigidMatchTargets(NamedTuple):
 
     coarse: Cells
     fine: Cells
-    coarse_place: Tensor
-    fine_place: Tensor
+    coarse_position: Tensor
+    fine_position: Tensor
     coarse_weight: Tensor
     fine_weight: Tensor
     points: Tensor
@@ -77,7 +77,7 @@ def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) 
     points = prepared.points
     measured = torch.isfinite(points).all(dim=1) & (points[:, 2] > 0)
     safe = torch.where(measured[:, None], points, torch.zeros_like(points))
-    place = safe + targets.flow
+    position = safe + targets.flow
     weight = torch.where(targets.mask, 1.0, background) * measured
     index = targets.index[:, ::fine, ::fine]
     K = prepared.batch.table.label.shape[1]
@@ -88,8 +88,8 @@ def make_rigidmatch_targets(prepared: Prepared, stride: int, background: float) 
     return RigidMatchTargets(
         coarse=true_cells(prepared, stride),
         fine=true_cells(prepared, fine),
-        coarse_place=place[..., ::stride, ::stride],
-        fine_place=place[..., ::fine, ::fine],
+        coarse_position=position[..., ::stride, ::stride],
+        fine_position=position[..., ::fine, ::fine],
         coarse_weight=weight[:, ::stride, ::stride],
         fine_weight=weight[:, ::fine, ::fine],
         points=safe[..., ::fine, ::fine],

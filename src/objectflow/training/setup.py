@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from objectflow.errors import MethodError
 from objectflow.networks import SceneFlowNet
-from objectflow.networks.rigidmatch import RigidMatch
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.weights import Network, load_network
 from objectflow.training.adapters import tensors_of
@@ -27,7 +27,7 @@ def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, st
     Args:
         recipe: its settings and the seed of its random weights.
         process: where it goes.
-        backbone: torchvision's `resnet50` state dict for the colour trunk.
+        backbone: torchvision's `resnet50` state dict for the colour trunk, or XFeat's filters for rigidmatch.
         start: weights of an earlier run to begin with.
 
     Raises:
@@ -43,9 +43,12 @@ def build_network(recipe: Recipe, process: Process, *, backbone: Path | None, st
     else:
         network = RigidMatch(settings, generator=generator)
     if backbone is not None:
-        if not isinstance(network, SceneFlowNet):
-            raise MethodError(f"{backbone}: rigidmatch has no ResNet-50 trunk: leave backbone weights out")
         network.load_backbone(backbone)
+    elif start is None and isinstance(settings, RigidMatchSettings) and settings.xfeat != "none":
+        raise MethodError(
+            "rigidmatch needs XFeat's filters: give a file of scripts/convert_xfeat.py by --backbone-weights, "
+            "weights to start from by --start-from, or --rigid.xfeat none"
+        )
     network.to(process.device).train()
     if recipe.channels_last:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

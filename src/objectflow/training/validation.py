@@ -95,7 +95,9 @@ def _score(
     measured = torch.isfinite(prepared.points[index]).all(dim=0)
     true_flow = torch.where(measured, prepared.targets.flow[index], torch.nan).permute(1, 2, 0).cpu().numpy()
     seen = prepared.targets.seen[index].cpu().numpy()
-    flow = score_flow(motion.scene_flow, true_flow, seen, seen).masked
+    scale = float(prepared.scale[index])
+    true_flow = true_flow / scale
+    flow = score_flow(motion.scene_flow / scale, true_flow, seen, seen).masked
     still = score_flow(np.zeros_like(true_flow), true_flow, seen, seen).masked
     segmentation = score_segmentation(labels.astype(np.int32), motion.labels)
     numbers = {

@@ -6,7 +6,8 @@ import numpy as np
 import torch
 
 from objectflow.networks.rigidmatch.inputs import Grid, cells
-from objectflow.networks.rigidmatch.refinement import _update, mix_neighbors
+from objectflow.networks.rigidmatch.refinement import _update
+from objectflow.networks.rigidmatch.upsampling import mix_neighbors
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -15,6 +15,7 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.resample import nearest_indices
+from objectflow.geometry.torch_pinhole import depth_factor
 from objectflow.methods.base import check_camera_option
 from objectflow.methods.find_weights import find_weights
 from objectflow.methods.labels import relabel_present, rigid_flow
@@ -112,9 +113,13 @@ class RigidMatchEstimator:
         )
 
     def predict(self, prev: RgbdFrame, curr: RgbdFrame) -> tuple[RigidMatchOutput, Tensor]:
-        """The network's output on frames of any one size, and the current points (1, 3, H, W) that it was shown."""
+        """The network's output on frames of any one size, and the current points (1, 3, H, W), both in metres."""
         device = next(self.network.parameters()).device
         with torch.inference_mode():
-            seen = to_tensors(curr, device)
-            out: RigidMatchOutput = self.network(*to_tensors(prev, device), *seen, table=False)
-        return out, seen[1]
+            (prev_color, prev_points), (curr_color, curr_points) = to_tensors(prev, device), to_tensors(curr, device)
+            # The network is trained at one median depth; lengths are scaled back.
+            factor = depth_factor(curr_points, self.network.settings.median_depth)
+            out: RigidMatchOutput = self.network(
+                prev_color, factor * prev_points, curr_color, factor * curr_points, table=False
+            )
+        return out.rescaled(1 / float(factor)), curr_points

@@ -35,7 +35,7 @@ def stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
 
 
 class Encoder(nn.Module):
-    """(B, 8, H, W) from `describe` -> features of the fine and the coarse grid."""
+    """(B, 8, H, W) from `encode_inputs` -> features of the stem, the fine and the coarse grid."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -48,10 +48,11 @@ class Encoder(nn.Module):
         self.context = stage(coarse, 2 * coarse, settings.blocks[2], 2)
         self.lateral = nn.Conv2d(2 * coarse, coarse, 1)
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, fine_channels, H / fine stride, W / fine stride) and (B, channels, H / stride, W / stride)."""
-        fine = self.fine(self.stem(image))
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(B, stem_width, H / 2, W / 2), (B, fine_channels, H / fine stride, ...) and (B, channels, H / stride, ...)."""
+        stem = self.stem(image)
+        fine = self.fine(stem)
         coarse = self.coarse(fine)
-        # What lies around, from twice as far away (Lin et al. 2017).
+        # Context from a grid half as fine (Lin et al. 2017).
         around = F.interpolate(self.lateral(self.context(coarse)), scale_factor=2.0, mode="nearest")
-        return fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]
+        return stem, fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]
