@@ -28,7 +28,7 @@ RENAMED = {
 
 
 def new_name(name: str) -> str:
-    """This version's name of a tensor."""
+    """The name of a tensor in the present version."""
     for old, new in RENAMED.items():
         if name.startswith(old):
             return new + name.removeprefix(old)

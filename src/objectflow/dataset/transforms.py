@@ -60,7 +60,8 @@ def turn(batch: Batch, quarters: int) -> Batch:
         quarter = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], device=batch.intrinsics.device)
         vectors = {name: getattr(batch.table, name) @ quarter.T for name in ("center", "translation", "rotation")}
         if batch.camera_motion is not None:
-            camera = torch.block_diag(quarter, quarter.new_ones(1, 1))
+            camera = torch.eye(4, device=quarter.device)
+            camera[:3, :3] = quarter
             images["camera_motion"] = camera @ batch.camera_motion @ camera.T
         intrinsics = torch.stack([fy, fx, cy, width - 1 - cx], 1)
         batch = replace(batch, intrinsics=intrinsics, table=replace(batch.table, **vectors), **images)
@@ -69,7 +70,9 @@ def turn(batch: Batch, quarters: int) -> Batch:
 
 def rescale(batch: Batch, factor: Tensor) -> Batch:
     """Multiply all lengths of each pair by its factor (B,), as if the scene and the camera's path were larger."""
-    images: dict[str, Any] = {name: factor[:, None, None] * getattr(batch, name) for name in ("prev_depth", "curr_depth")}
+    images: dict[str, Any] = {
+        name: factor[:, None, None] * getattr(batch, name) for name in ("prev_depth", "curr_depth")
+    }
     table = replace(
         batch.table,
         center=factor[:, None, None] * batch.table.center,

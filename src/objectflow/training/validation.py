@@ -93,11 +93,11 @@ def _score(
     """One pair's numbers, and how many pairs each counts for."""
     motion = motion_of(output, prepared, recipe, index)
     measured = torch.isfinite(prepared.points[index]).all(dim=0)
-    true_flow = torch.where(measured, prepared.targets.flow[index], torch.nan).permute(1, 2, 0).cpu().numpy()
-    seen = prepared.targets.seen[index].cpu().numpy()
     scale = float(prepared.scale[index])
-    true_flow = true_flow / scale
-    flow = score_flow(motion.scene_flow / scale, true_flow, seen, seen).masked
+    flow_map = torch.where(measured, prepared.targets.flow[index] / scale, torch.nan)
+    true_flow = flow_map.permute(1, 2, 0).cpu().numpy()
+    seen = prepared.targets.seen[index].cpu().numpy()
+    flow = score_flow(motion.scene_flow / np.float32(scale), true_flow, seen, seen).masked
     still = score_flow(np.zeros_like(true_flow), true_flow, seen, seen).masked
     segmentation = score_segmentation(labels.astype(np.int32), motion.labels)
     numbers = {

@@ -329,9 +329,12 @@ def test_every_form_of_the_network_speaks_and_learns(changes: dict[str, Any]) ->
     assert output.match.shape == (2, 3, H, W)
     assert output.masks.shape[1:] == (2, 4, H, W)
     assert output.upsampling.shape == (2, 9, (settings.fine_stride // settings.mask_stride) ** 2, H, W)
-    assert pixel_masks(
-        output.masks[-1], output.upsampling, output.detail_queries, output.details
-    ).shape == (2, 4, settings.fine_stride * H, settings.fine_stride * W)
+    assert pixel_masks(output.masks[-1], output.upsampling, output.detail_queries, output.details).shape == (
+        2,
+        4,
+        settings.fine_stride * H,
+        settings.fine_stride * W,
+    )
     numbers = [one for one in output if one.is_floating_point() and one.numel()]
     assert all(bool(one.isfinite().all()) for one in numbers)
     torch.testing.assert_close(torch.linalg.det(output.rotation), torch.ones(2, 4), rtol=0, atol=1e-4)

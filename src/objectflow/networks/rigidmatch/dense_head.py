@@ -29,7 +29,7 @@ class DensePredictions(NamedTuple):
         votes: (B, 6, H, W) metres: [X, X + T].
         match_confidence, foreground, seed: (B, 1, H, W) logits.
         upsampling: (B, 9, f^2, H, W), weights that sum to 1 over the nine neighbours.
-        details: (B, D, 2 H, 2 W) features of the stem's grid; D = 0 without them.
+        details: (B, D, 2 H, 2 W) features of the stem's grid; (B, 0, H, W) without them.
     """
 
     tokens: Tensor
@@ -91,7 +91,8 @@ class DenseHead(nn.Module):
         pixels = self.fine(self.join(torch.cat([fine, below, *known], dim=1)))
         found = self.heads(pixels).float()
         if self.details is None:
-            guide, details = self.guide(pixels).float(), found.new_zeros(len(found), 0, *(2 * n for n in found.shape[-2:]))
+            guide = self.guide(pixels).float()
+            details = found[:, :0]
         else:
             guide, details = self.details(stem, pixels)
         # Centres as offsets: from where the pixel is, and from where it was.

@@ -49,7 +49,7 @@ class Encoder(nn.Module):
         self.lateral = nn.Conv2d(2 * coarse, coarse, 1)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(B, stem_width, H / 2, W / 2), (B, fine_channels, H / fine stride, ...) and (B, channels, H / stride, ...)."""
+        """(B, stem_width, H / 2, W / 2), and (B, C, H / s, W / s) of the fine and the coarse stride s."""
         stem = self.stem(image)
         fine = self.fine(stem)
         coarse = self.coarse(fine)

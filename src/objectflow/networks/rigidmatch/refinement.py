@@ -135,7 +135,7 @@ def _update(
     # One row per cell, gathered whole: point, validity, and the feature.
     table = torch.cat([prev.points, prev.valid, other], dim=1).flatten(2).transpose(-2, -1).flatten(0, 1)
     found = table.index_select(0, flat).reshape(batch, height * width, side * side, -1)
-    points, valid, features = found.split([3, 1, channels], dim=-1)
+    points, valid, features = torch.split(found, [3, 1, channels], dim=-1)
     logits = (features @ one.flatten(2).transpose(-2, -1)[..., None])[..., 0]
     if scorer is not None:
         logits = logits + scorer(logits, points)

@@ -110,7 +110,7 @@ class RigidMatchSettings:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> RigidMatchSettings:
-        """The inverse of `to_dict`; absent fields take their defaults, or those of the first generation in its headers.
+        """The inverse of `to_dict`; absent fields take their defaults, those of the first generation in its headers.
 
         Raises:
             MethodError: an unknown field, a value of another type, or one that no network can be built from.

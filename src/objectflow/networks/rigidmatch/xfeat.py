@@ -81,7 +81,7 @@ class XFeat(nn.Module):
 
     def _block(self, name: str, x: Tensor) -> Tensor:
         for layer in self.get_submodule(name).children():
-            x = torch.relu(layer(x))
+            x = layer(x).relu_()
         return x
 
     def load(self, path: Path) -> None:
