@@ -12,27 +12,30 @@ from objectflow.networks.rigidmatch.network import RigidMatch
 class ExportableRigidMatch(nn.Module):
     """The network up to the solve.
 
-    Its outputs, by `OUTPUTS`: points and matches (B, 3, H, W) in metres of the fine grid, the weights (B, Q, H, W) of
-    each object's matches in its solve, anchors, objectness, masks and moves of the last layer, and upsampling, detail
-    queries and details for `outputs.pixel_masks`. The motions follow by
-    `rigid_solver.solve_motions(weights, points, matches, anchors, prior=PRIOR)`.
+    Its outputs, by `outputs`: points and matches (B, 3, H, W) in metres of the fine grid, the weights (B, Q, H, W) of
+    each object's matches in its solve, anchors, objectness, masks and moves of the last layer, and what
+    `outputs.pixel_masks` needs: upsampling, and in networks with details also detail queries and details. The motions
+    follow by `rigid_solver.solve_motions(weights, points, matches, anchors, prior=PRIOR)`. Points must be scaled to the
+    settings' `median_depth` by the caller, and lengths back.
     """
 
     OUTPUTS: ClassVar[tuple[str, ...]] = (
-        "points", "match", "weights", "anchors", "objectness", "masks", "moves", "upsampling", "detail_queries",
-        "details",
+        "points", "match", "weights", "anchors", "objectness", "masks", "moves", "upsampling",
     )  # fmt: skip
+    DETAILS: ClassVar[tuple[str, ...]] = ("detail_queries", "details")
 
     def __init__(self, network: RigidMatch) -> None:
         super().__init__()
         self.network = network
+        self.with_details = network.settings.detail_channels > 0
+        self.outputs = self.OUTPUTS + (self.DETAILS if self.with_details else ())
 
     def forward(
         self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
     ) -> tuple[Tensor, ...]:
         """See `RigidMatch.forward`."""
         found = self.network.forward_features(prev_color, prev_points, curr_color, curr_points)
-        return (
+        out = (
             found.points.points,
             found.refined.match,
             found.weights(),
@@ -41,6 +44,5 @@ class ExportableRigidMatch(nn.Module):
             found.objects.masks[-1],
             found.moves,
             found.dense.upsampling,
-            found.objects.detail_queries,
-            found.dense.details,
         )
+        return (*out, found.objects.detail_queries, found.dense.details) if self.with_details else out

@@ -100,8 +100,8 @@ class XFeat(nn.Module):
 
 def xfeat_size(height: int, width: int) -> tuple[int, int]:
     """Height and width to which an image is brought for XFeat."""
-    factor = min(_LARGEST_FACTOR, math.sqrt(_PIXELS / (height * width)))
-    rows, columns = (max(1, round(side * factor / _MULTIPLE)) * _MULTIPLE for side in (height, width))
+    factor = min(_LARGEST_FACTOR, math.sqrt(_PIXELS / (int(height) * int(width))))  # tensors while tracing
+    rows, columns = (max(1, round(int(side) * factor / _MULTIPLE)) * _MULTIPLE for side in (height, width))
     return rows, columns
 
 
