@@ -100,9 +100,7 @@ RIGID = dataclasses.replace(RECIPE, variant="rigidmatch", rigid=TINY_RIGID, size
 RECIPES = {
     "the paper's network": RECIPE,
     "rigidmatch": RIGID,
-    "windows and spheres": dataclasses.replace(
-        RIGID, rigid=dataclasses.replace(TINY_RIGID, matching="windowed", reach=3, objects="spheres")
-    ),
+    "details": dataclasses.replace(RIGID, rigid=dataclasses.replace(TINY_RIGID, stride=8, detail_channels=6)),
 }
 
 

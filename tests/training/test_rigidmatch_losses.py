@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 
 from helpers.pair_sets import random_pair, write_pairs
@@ -18,8 +19,10 @@ from helpers.small_networks import TINY_RIGID
 from helpers.training_runs import RECIPE, job, tensors_of, write_set
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.batches import Batches
+from objectflow.dataset.transforms import rescale
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
+from objectflow.networks.rigidmatch.xfeat import XFeat
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
 from objectflow.training.recipe import Recipe
@@ -246,3 +249,31 @@ def test_the_loop_trains_stops_and_goes_on_bit_for_bit(tmp_path: Path) -> None:
     left, right = tensors_of(tmp_path / "whole"), tensors_of(parts)
     assert left.keys() == right.keys()
     assert [name for name in left if not torch.equal(left[name], right[name])] == []
+
+
+def test_xfeat_is_needed_stays_frozen_and_travels_with_the_weights(tmp_path: Path) -> None:
+    data, path = write_set(tmp_path / "set"), tmp_path / "xfeat.safetensors"
+    recipe: Any = dataclasses.replace(
+        RECIPE, variant="rigidmatch", rigid=dataclasses.replace(SETTINGS, xfeat="both"), steps=2, validate_every=2
+    )
+    with pytest.raises(MethodError, match=r"rigidmatch needs XFeat's filters: .*--backbone-weights"):
+        train(job(data, tmp_path / "none", recipe))
+    filters = XFeat(torch.Generator().manual_seed(3)).state_dict()
+    safetensors.torch.save_file(filters, path)
+    train(dataclasses.replace(job(data, tmp_path / "run", recipe), backbone=path))
+    found = tensors_of(tmp_path / "run")
+    assert all(torch.equal(found[f"best xfeat.{name}"], value) for name, value in filters.items())
+
+
+def test_a_scaled_batch_has_the_losses_of_the_batch(prepared: Prepared) -> None:
+    """Depth is normalised before losses: the scale of the scene does not weigh."""
+    recipe: Any = dataclasses.replace(RECIPE, variant="rigidmatch", rigid=SETTINGS)
+    losses = []
+    for factor in (1.0, 5.0):
+        batch = rescale(prepared.batch, torch.full((2,), factor))
+        one = prepare(batch, recipe, None)
+        torch.testing.assert_close(one.scale * factor, prepare(prepared.batch, recipe, None).scale)
+        with torch.no_grad():
+            losses.append(rigidmatch_losses(network()(*one.images), one, STRIDE))
+    for name, value in losses[0].items():
+        torch.testing.assert_close(losses[1][name], value, rtol=1e-3, atol=1e-4)

@@ -1,4 +1,4 @@
-"""How much each term of `rigidmatch_losses` weighs."""
+"""Weights of the terms of `rigidmatch_losses`."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ class RigidMatchLossSettings:
     window: float = 1.0
     """The same within the last small window."""
     position: float = 20.0
-    """Metres between a cell's expected and true position in the previous frame, on both grids."""
+    """Distance in metres between a cell's expected and true position in the previous frame, on both grids."""
     match_confidence: float = 0.5
-    """Cross entropy of "within 2 cm"."""
+    """Cross entropy of "the match is within 2 cm of the truth"."""
     foreground: float = 1.0
     """Cross entropy of object or not, every cell."""
     votes: float = 10.0
-    """Metres of error of X, and of X + T."""
+    """Errors of X and of X + T, in metres."""
     seed: float = 0.5
-    """Cross entropy of exp(-error / 4 cm) of a vote; 0 off the objects."""
+    """Cross entropy of a vote's quality exp(-error / 6 cm), which is 0 off the objects."""
     objectness: float = 2.0
-    """Cross entropy of an object or none, every query; the class of the Hungarian matching."""
+    """Cross entropy of "an object", all queries; the class term of the Hungarian matching."""
     mask: float = 5.0
     dice: float = 5.0
-    """Also in the matching, as the one above."""
+    """Mask and dice weigh in the Hungarian matching too."""
     no_object: float = 0.5
     """Weight of queries without an object within `objectness`."""
     pixels: float = 2.0
-    """Cross entropy and dice of the matched masks at every pixel; teaches the upsampling."""
+    """Cross entropy and dice of the matched masks on the finest grid; trains the upsampling."""
     flow: float = 40.0
-    """Metres between the flow that an object's motion makes and the true one, the same for all objects."""
+    """Distance in metres between the flow of an object's motion and the true flow; all objects weigh the same."""
     moves: float = 0.5
     """Cross entropy of moving or not, of matched queries."""
     background: float = 0.1

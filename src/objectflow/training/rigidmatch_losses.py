@@ -16,8 +16,8 @@ _RIGHT = 0.02
 """Metres: a match so near to the truth can be relied on."""
 _BARRED = -1e3
 """Scores below belong to cells that cannot be a match."""
-_NEAR = 0.04
-"""Metres: how fast a vote's worth as a seed falls with its error."""
+_NEAR = 0.06
+"""Error in metres at which a vote's quality as a seed falls to 1 / e."""
 
 
 def rigidmatch_losses(

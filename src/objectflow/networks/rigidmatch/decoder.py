@@ -68,10 +68,10 @@ class SetDecoder(nn.Module):
         with torch.autocast(dense.votes.device.type, enabled=False):
             votes = dense.votes.float().flatten(2).transpose(-2, -1)
             coarse_votes = dense.votes[..., ::2, ::2].float()
-            sure = (dense.seed.sigmoid() * dense.foreground.sigmoid())[:, 0, ::2, ::2].float()
+            confidence = (dense.seed.sigmoid() * dense.foreground.sigmoid())[:, 0, ::2, ::2].float()
             coarse_flat = coarse_votes.flatten(2).transpose(-2, -1)
             index = choose_seeds(
-                coarse_flat.detach(), sure.flatten(1), self.settings.queries, self.settings.seed_radius
+                coarse_flat.detach(), confidence.flatten(1), self.settings.queries, self.settings.seed_radius
             )
         anchors = _at(coarse_flat, index)
         queries = _at(self.seed_feature(dense.pixels)[..., ::2, ::2].flatten(2).transpose(-2, -1), index)
@@ -96,7 +96,7 @@ class SetDecoder(nn.Module):
             values = self.norm(queries)
             queries = self.among[index_layer](queries, position, values + position, values)
             queries = self.feeds[index_layer](queries)
-            # One step of mean shift: the mask's mean vote is steadier than the seed's.
+            # One step of mean shift: the mean vote of the mask is more stable than the seed's.
             anchors = _mean_votes(coarse_mask.sigmoid(), coarse_flat, anchors)
         if self.detail_embedding is None:
             details = normed.new_zeros(*queries.shape[:2], 0).float()
@@ -108,7 +108,7 @@ class SetDecoder(nn.Module):
         """(B, Q, N) logits: distance of votes in trajectory space, and similarity of embeddings."""
         with torch.autocast(queries.device.type, enabled=False):
             strength, radius, bias = self.shape(queries.float()).unbind(-1)
-            # In float64: a seed is at a distance of 0 from itself, and the root of what rounding left would be 1 mm.
+            # Float64, since the root of the rounding error at distance 0 would be 1 mm.
             far, near = votes.double(), anchors.double()
             square = (
                 far.square().sum(-1)[:, None] + near.square().sum(-1)[..., None] - 2 * near @ far.transpose(-2, -1)
@@ -127,7 +127,7 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
 
 
 def _mean_votes(weights: Tensor, votes: Tensor, anchors: Tensor) -> Tensor:
-    """(B, Q, 6): means of votes (B, N, 6) under weights (B, Q, N), the anchor before counting as one vote."""
-    # Metres have too few digits in bfloat16.
+    """(B, Q, 6) means of votes (B, N, 6) under weights (B, Q, N); the previous anchor counts as one vote."""
+    # bfloat16 is too coarse for metres.
     with torch.autocast(votes.device.type, enabled=False):
         return (weights.float() @ votes + anchors) / (weights.float().sum(-1, keepdim=True) + 1)

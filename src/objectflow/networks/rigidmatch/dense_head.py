@@ -16,7 +16,7 @@ from objectflow.networks.rigidmatch.refinement import FineMatch
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 
 _DECIMETRES = 10.0
-"""A metre in units in which motions are about 1."""
+"""Decimetres per metre: in decimetres motions are about 1."""
 _HEADS = 6 + 3
 
 

@@ -1,4 +1,4 @@
-"""Dual softmax of all pairs' logits and the expectation under it, in few passes over the N x N table."""
+"""Dual softmax over an N x M table of logits and expectations under it, in few passes over the table."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 _LEVEL = 30.0
-"""Logits up to about 60 are made smaller by so much: their exponentials and sums stay within float32."""
+"""Offset subtracted from logits, which are at most about 90, so that exponentials and sums stay within float32."""
 _LEAST = 1e-30
 _ROWS = 128
-"""Rows that are worked on at a time where no table is wanted: few enough to stay in a processor's cache."""
+"""Rows per block when no table is wanted: few enough to stay in the processor's cache."""
 
 
 def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums of values under `softmax over rows, with 'dustbin' as one more entry, times softmax over columns`.
+    """Sums of values under the softmax over rows, with the dustbin as one more entry, times that of columns.
 
     Args:
         scores: (B, N, M) logits, at most 100.
-        dustbin: (B, N) logits of "none of them".
+        dustbin: (B, N) logits of "no match".
         values: (B, M, C).
 
     Returns:
-        (B, N, C) sums, not divided by the weights' own sum; (B, N) and (B, M): logarithms of the sums of exponentials
-        over rows (with dustbin) and over columns.
+        (B, N, C) sums, not divided by the sum of the weights; (B, N) and (B, M) logarithms of the sums of exponentials
+        over rows, with the dustbin, and over columns.
     """
     if torch.is_grad_enabled() and (scores.requires_grad or values.requires_grad):
         sums, rows, columns = _DualSoftmaxMean.apply(scores, dustbin, values)  # type: ignore[no-untyped-call]
         return sums, rows, columns
     raised, row, column = _raise(scores, dustbin)
-    # The columns' sums divide the few values, not the table, which is passed over as seldom as possible.
+    # Dividing the few values by the columns' sums saves a pass over the table.
     by_row = (raised / row[:, :, None]).mul_(raised)
     return by_row @ (values / column[:, :, None]), row.log() + _LEVEL, column.log() + _LEVEL
 
@@ -39,7 +39,7 @@ def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[
 def dual_softmax_mean_of_product(
     left: Tensor, right: Tensor, dustbin: Tensor, values: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The same for `scores = left @ right.mT`, a few rows at a time, without a gradient: half the time and memory.
+    """The same for `scores = left @ right.mT`, block by block and without gradient: half the time and memory.
 
     Args:
         left: (B, N, K).
@@ -72,7 +72,7 @@ def _raise(scores: Tensor, dustbin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 class _DualSoftmaxMean(torch.autograd.Function):
-    """The same with a backward pass that works in place: autograd's own takes three times as many passes."""
+    """The same with an in-place backward pass: autograd needs three times as many passes over the table."""
 
     @staticmethod
     def forward(ctx: Any, scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""The trunk, shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
+"""Image encoder shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Block(nn.Module):
             self.shortcut = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, x: Tensor) -> Tensor:
-        """The block."""
+        """Apply the block."""
         out = torch.relu(self.norm1(self.conv1(x)))
         return torch.relu(self.norm2(self.conv2(out)) + self.shortcut(x))
 
 
 def stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
-    """Blocks in a row, the first with the stride."""
+    """A sequence of blocks; the first has the stride."""
     return nn.Sequential(Block(inputs, outputs, stride), *(Block(outputs, outputs) for _ in range(blocks - 1)))
 
 

@@ -15,8 +15,8 @@ class ExportableRigidMatch(nn.Module):
     Its outputs, by `outputs`: points and matches (B, 3, H, W) in metres of the fine grid, the weights (B, Q, H, W) of
     each object's matches in its solve, anchors, objectness, masks and moves of the last layer, and what
     `outputs.pixel_masks` needs: upsampling, and in networks with details also detail queries and details. The motions
-    follow by `rigid_solver.solve_motions(weights, points, matches, anchors, prior=PRIOR)`. Points must be scaled to the
-    settings' `median_depth` by the caller, and lengths back.
+    follow by `rigid_solver.solve_motions(weights, points, matches, anchors, prior=PRIOR)`. The caller scales
+    points to the settings' `median_depth`, and lengths back.
     """
 
     OUTPUTS: ClassVar[tuple[str, ...]] = (

@@ -1,4 +1,4 @@
-"""Global matching: every current cell against every previous one, or against a dustbin."""
+"""Global matching: every current cell against every previous cell and a dustbin."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _FIRST_SCALE, _LARGEST_SCALE = 12.0, 60.0
 _FIRST_XFEAT_SCALE, _LARGEST_XFEAT_SCALE = 10.0, 30.0
 """Initial and maximum scale of XFeat's cosines."""
 _FALLBACK = 1e-3
-"""Weight of "it did not move" in the expected position: decides only where nothing matches."""
+"""Weight of "static" in the expected position: it decides only where nothing matches."""
 _BARRED = -1e4
 _UNIT = 1 / 16
-"""Of squared distances in cells, in the prior."""
+"""Unit of the prior's precision: per 16 squared cells."""
 
 
 class CoarseMatch(NamedTuple):
@@ -31,7 +31,7 @@ class CoarseMatch(NamedTuple):
         scores: (B, N, N) logits, current cell first; (B, 0, 0) where no table was wanted.
         dustbin: (B, N) logits.
         rows, columns: (B, N) logarithms of the sums of their exponentials, over rows with `dustbin`.
-        confidence: (B, 1, h, w) 0..1: how much of both frames' softmax agrees.
+        confidence: (B, 1, h, w) 0..1: total weight of the dual softmax.
         shift: (B, 5, h, w): expected motion, [columns, rows in cells, x, y, z in metres].
         feature: (B, C, h, w) expected feature of the previous frame.
     """
@@ -46,7 +46,7 @@ class CoarseMatch(NamedTuple):
 
 
 class GlobalMatching(nn.Module):
-    """Cosines of projected tokens times a learnt scale, and a learnt prior; dual softmax (Sun et al. 2021)."""
+    """Scaled cosines of tokens and of XFeat features plus a learnt prior; dual softmax (Sun et al. 2021)."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -61,13 +61,13 @@ class GlobalMatching(nn.Module):
     def forward(
         self, tokens: Tensor, curr: Grid, prev: Grid, descriptors: Tensor | None = None, *, table: bool = True
     ) -> CoarseMatch:
-        """Match.
+        """Match all cells.
 
         Args:
             tokens: (2 B, N, C), current frames first.
             curr, prev: the grids' points.
             descriptors: (2 B, N, 64) of unit length, XFeat's; None without them in the score.
-            table: give `scores`, which losses need. Without them it takes half as long, and no gradient.
+            table: return `scores`, which losses need; without them matching takes half as long and has no gradient.
         """
         size = (curr.points.shape[-2], curr.points.shape[-1])
         with torch.autocast(tokens.device.type, enabled=False):
@@ -87,7 +87,7 @@ class GlobalMatching(nn.Module):
             mass = sums[..., :1]
             share = sums[..., 1:] / (mass + _FALLBACK)
             here = torch.cat([position, curr.points.flatten(2).transpose(-2, -1)], dim=-1)
-            # The missing share did not move.
+            # The remaining weight counts as static.
             shift = share[..., :5] - mass / (mass + _FALLBACK) * here
         return CoarseMatch(
             scores=scores,
@@ -108,7 +108,7 @@ class GlobalMatching(nn.Module):
         found = self.prior(current)
         certainty = _UNIT * F.softplus(found[..., :1])
         center = position + 4 * found[..., 1:]
-        middle = position.mean(dim=1, keepdim=True)  # near 0, squares keep their digits
+        middle = position.mean(dim=1, keepdim=True)  # squares are more precise near 0
         center, target = center - middle, position - middle
         barred = _BARRED * (1 - valid)
         curr = [scale * one, -certainty * center.square().sum(-1, keepdim=True), 2 * certainty * center, -certainty]

@@ -1,4 +1,4 @@
-"""The network: encode, attend, match, refine, vote, find objects, solve their motions."""
+"""The network: encode, attend, match, refine, predict votes, find objects, solve for their motions."""
 
 from __future__ import annotations
 
@@ -110,10 +110,10 @@ class RigidMatch(nn.Module):
         Args:
             prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
-            table: give the table of all pairs' scores, which losses need; without it there is no gradient.
+            table: return the table of all pairs' scores, which losses need; without it there is no gradient.
 
         Returns:
-            Everything, on the grids of images padded to a multiple of the coarsest stride.
+            All predictions, on the grids of images padded to a multiple of the coarsest stride.
         """
         found = self.forward_features(prev_color, prev_points, curr_color, curr_points, table=table)
         # 6. The motions that fit the matches.

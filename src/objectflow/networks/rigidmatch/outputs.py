@@ -35,8 +35,8 @@ class RigidMatchOutput(NamedTuple):
         moves: (B, Q) logits of "it moves".
         rotation: (B, Q, 3, 3), `prev_T_curr` of each query's object.
         translation: (B, Q, 3) metres: P_prev = rotation P_curr + translation.
-        upsampling: (B, 9, f^2, H, W): weights of the neighbours of a fine cell in each of its f^2 parts, which are cells
-            of the grid at stride 2, or pixels in networks without details; they sum to 1.
+        upsampling: (B, 9, f^2, H, W): weights of a fine cell's neighbours in each of its f^2 parts, which are cells of
+            the grid at stride 2, or pixels in networks without details; they sum to 1.
         detail_queries: (B, Q, D) and details (B, D, 2 H, 2 W): their product is added to upsampled masks. In networks
             without details D is 0.
     """

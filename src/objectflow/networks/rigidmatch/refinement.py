@@ -1,4 +1,4 @@
-"""From the coarse to the fine grid: learnt upsampling, and updates of each match in a small window."""
+"""Refinement of matches: learnt upsampling to the fine grid, then updates within a small window."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class FineMatch(NamedTuple):
 
     Attributes:
         match: (B, 3, H, W) metres, in the previous frame.
-        confidence: (B, 1, H, W) 0..1, the coarse grid's.
-        logits: (B, (2 r + 1)^2, H, W) over the last window; no channels without updates.
-        center: (B, 2, H, W) int64: column and row of its middle.
-        peak: (B, 1, H, W) 0..1: the window's largest probability; 1 without updates.
+        confidence: (B, 1, H, W) 0..1, upsampled from the coarse grid.
+        logits: (B, (2 r + 1)^2, H, W) over the last window, r its radius; no channels without updates.
+        center: (B, 2, H, W) int64: column and row of the window's middle.
+        peak: (B, 1, H, W) 0..1: largest probability within the window; 1 without updates.
     """
 
     match: Tensor
@@ -43,7 +43,7 @@ class FineMatch(NamedTuple):
 
 
 class Refinement(nn.Module):
-    """Coarse matches to the fine grid, then `updates` expectations over a window of the previous fine features."""
+    """Upsamples coarse matches, then updates them by expectations over a window of the previous frame's cells."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -68,12 +68,12 @@ class Refinement(nn.Module):
         prev: Grid,
         descriptors: Tensor | None = None,
     ) -> FineMatch:
-        """Refine.
+        """Refine matches.
 
         Args:
             fine: (2 B, C, H, W) features of the fine grid, current frames first.
-            tokens: (2 B, C', h, w) of the coarse one, after attention.
-            coarse: its matches.
+            tokens: (2 B, C', h, w) of the coarse grid, after attention.
+            coarse: the coarse grid's matches.
             curr, prev: the fine grid's points.
             descriptors: (2 B, 64, H, W) of XFeat; None for networks without.
         """

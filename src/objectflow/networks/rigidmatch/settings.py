@@ -62,7 +62,7 @@ class RigidMatchSettings:
     """Maximum number of objects in a pair."""
     decoder_layers: int = 3
     """Layers of the query decoder."""
-    seed_radius: float = 0.05
+    seed_radius: float = 0.06
     """Metres in trajectory space within which a seed suppresses others."""
     rounds: int = 1
     """Repetitions of the solve in which matches that disagree with the motion are weighted down."""

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 _HIDDEN = 16
 _DECIMETRES = 10.0
-"""A metre in units in which offsets are about 1."""
+"""Decimetres per metre: in decimetres offsets are about 1."""
 
 
 class WindowGeometry(nn.Module):
