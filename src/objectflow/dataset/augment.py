@@ -1,4 +1,4 @@
-"""Variations of a batch, on its device, drawn anew at every use; and what a network is shown of it: sensor noise."""
+"""Random variations of a batch on its device, and the network's inputs: the frames with sensor noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from objectflow.sensors.sensor import SENSORS, ColorSensor, observe_color, obser
 
 @dataclass(frozen=True)
 class AugmentSettings:
-    """What is drawn anew whenever a pair is used. Everything at 0 (zoom 1, sensors off) leaves batches as they are.
+    """Ranges of the random variations. With all at 0 (zoom and scale 1, sensors off) batches stay as they are.
 
     Raises:
         DatasetError: a share outside of 0..1, a zoom below 1, or a negative amount.
@@ -30,29 +30,29 @@ class AugmentSettings:
     """Share of batches that are turned by one, two or three quarters; all their pairs alike, so that they stay
     rectangular."""
     swap: float = 0.5
-    """Share of pairs whose frames trade places, their motions inverted."""
+    """Share of pairs whose frames are exchanged and whose motions are inverted."""
     zoom: float = 1.3
-    """Largest enlargement; each pair's lies between 1 and this, its part of the image anywhere."""
+    """Maximum enlargement; each pair's lies between 1 and this, at a random position."""
     brightness: float = 0.2
-    """Largest change of brightness, relative; as are contrast and saturation."""
+    """Maximum relative change of brightness; likewise contrast and saturation."""
     contrast: float = 0.2
     saturation: float = 0.3
     hue: float = 0.1
-    """Radians: largest turn of hue."""
+    """Maximum rotation of hue in radians."""
     frame_jitter: float = 0.15
-    """How much more each frame's colours change on their own, relative to what the pair shares."""
+    """Additional change of each frame's own colours, relative to the change that the pair shares."""
     scale: tuple[float, float] = (0.7, 1.4)
     """Range of each pair's scale, drawn evenly in its logarithm; used where depth is normalised before a network."""
     depth_sensor: float = 0.9
-    """Share of the groups of pairs whose depth a sensor measures. The rest keep exact depth."""
+    """Share of groups of pairs with a depth sensor's noise. The rest keep exact depth."""
     kinds: tuple[str, ...] = ("structured-light", "time-of-flight", "stereo")
-    """Which depth sensors are drawn from, by name. "passive-stereo" is left out: it loses most of plain surfaces."""
+    """Names of the depth sensors to draw from, without "passive-stereo", which loses most of plain surfaces."""
     color_sensor: float = 0.9
-    """Share of the groups of pairs whose colour has exposure, white balance, blur and noise of a camera."""
+    """Share of groups of pairs with a camera's exposure, white balance, blur and noise."""
     strength: tuple[float, float] = (0.5, 1.5)
-    """How bad depth sensors are, relative to their published figures."""
+    """Range of the depth sensors' noise, relative to their published figures."""
     sensors: int = 2
-    """Groups of a batch, each with sensors of its own."""
+    """Number of groups in a batch; each has its own sensors."""
 
     def __post_init__(self) -> None:
         for name in ("flip", "turn", "swap", "depth_sensor", "color_sensor"):
@@ -74,7 +74,7 @@ class AugmentSettings:
 
     @classmethod
     def nothing(cls) -> AugmentSettings:
-        """Batches as they are, frames exact: what validation looks at."""
+        """No variation and no noise, for validation."""
         return cls(
             flip=0, turn=0, swap=0, zoom=1, brightness=0, contrast=0, saturation=0, hue=0, frame_jitter=0,
             scale=(1, 1), depth_sensor=0, color_sensor=0,
@@ -82,11 +82,11 @@ class AugmentSettings:
 
 
 class Inputs(NamedTuple):
-    """What a network is shown, in the order of its arguments, and the exact current points, for targets and losses.
+    """The network's inputs in the order of its arguments, and exact current points for targets and losses.
 
     Attributes:
         prev_color, curr_color: (B, 3, H, W) float32, RGB in 0..1.
-        prev_points, curr_points: (B, 3, H, W) metres as the sensor has them, NaN where it has none.
+        prev_points, curr_points: (B, 3, H, W) metres as the sensor measures them, NaN where it measures none.
         exact_points: (B, 3, H, W) metres, NaN where the stored depth is missing.
     """
 
@@ -98,11 +98,11 @@ class Inputs(NamedTuple):
 
 
 def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator) -> Batch:
-    """A variation of every pair of a batch, each drawn on its own.
+    """Vary every pair of a batch independently; turns are common to the batch.
 
     Args:
         batch: exact frames, on the generator's device.
-        settings: what may change, and how much.
+        settings: ranges of the variations.
         generator: the only source of randomness.
     """
     count = len(batch)
@@ -110,7 +110,7 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
     def draw(*shape: int) -> Tensor:
         return torch.rand(count, *shape, generator=generator, device=generator.device)
 
-    # Everything is drawn, whatever is switched on: one setting does not change another's numbers.
+    # All numbers are always drawn, so that one setting does not change the numbers of another.
     mirrored, swapped, unit, place, colors = draw(), draw(), draw(), draw(2), draw(3, 4)
     turned = torch.rand(2, generator=generator, device=generator.device).tolist()
     if turned[0] < settings.turn:
@@ -129,18 +129,18 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
 
 
 def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Generator | None) -> Inputs:
-    """Frames as a network is shown them: colours in 0..1, points of noisy depth.
+    """Network inputs from frames: colours in 0..1, points of noisy depth.
 
-    Targets and the loss on flow come from the exact points. A pixel that the sensor lost keeps its targets: a network
-    has to say what lies there, from what lies around. X is predicted from the points that the network is shown.
+    Targets and the loss on flow come from the exact points. A pixel without measured depth keeps its targets, which the
+    network has to infer from its surroundings. X is predicted from the noisy points.
 
     Args:
         batch: exact frames.
-        settings: which sensors there are.
+        settings: sensors.
         generator: on the batch's device; None leaves both colour and depth exact.
     """
     count = len(batch)
-    # Frames of a pair follow each other, so that they can share a camera's state.
+    # Both frames of a pair are adjacent, so that they can share a camera's state.
     color = torch.stack([batch.prev_color, batch.curr_color], 1).flatten(0, 1).float() / 255
     depth = torch.stack([batch.prev_depth, batch.curr_depth], 1).flatten(0, 1)
     intrinsics = batch.intrinsics.repeat_interleave(2, 0)
@@ -187,7 +187,7 @@ def normalize_depth(
 def _observed(
     color: Tensor, depth: Tensor, intrinsics: Tensor, settings: AugmentSettings, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
-    """Colour and depth of consecutive frames of pairs as one drawn camera has them."""
+    """Colour and depth of consecutive frames of pairs as measured by one randomly drawn camera."""
     has_depth, has_color, kind, unit = torch.rand(4, generator=generator, device=generator.device).tolist()
     if has_depth < settings.depth_sensor:
         low, high = settings.strength

@@ -1,6 +1,6 @@
 """Single variations of a batch: turned, mirrored, swapped, enlarged, scaled, recoloured; geometry stays exact.
 
-Exact means: the object table still says where each point of the current frame was in the previous one.
+Exact means that the object table still maps each point of the current frame to its previous position.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from objectflow.dataset.targets import ObjectTable
 from objectflow.sensors import depth_maps
 
 _LABELS = 256
-"""Labels are stored in 8 bits."""
+"""Number of labels: they are stored in 8 bits."""
 _IMAGES = ("prev_color", "curr_color", "prev_depth", "curr_depth", "prev_labels", "curr_labels")
 
 
@@ -37,7 +37,7 @@ def flip(batch: Batch, which: Tensor) -> Batch:
         batch.table,
         center=batch.table.center * sign(-1, 1, 1),
         translation=batch.table.translation * sign(-1, 1, 1),
-        # M R M of the mirror M: the axis is mirrored, and the turn about it goes the other way.
+        # M R M with the mirror M: the axis is mirrored and the angle changes its sign.
         rotation=batch.table.rotation * sign(1, -1, -1),
     )
     images: dict[str, Any] = {name: mirror(getattr(batch, name)) for name in _IMAGES}
@@ -86,7 +86,7 @@ def rescale(batch: Batch, factor: Tensor) -> Batch:
 
 
 def swap(batch: Batch, which: Tensor) -> Batch:
-    """Let the frames of some pairs trade places; (B,) bool. X becomes X + T, T its opposite, R its inverse."""
+    """Exchange the frames of some pairs; (B,) bool. X becomes X + T, T becomes -T, R its inverse."""
 
     def choose(yes: Tensor, no: Tensor) -> Tensor:
         return torch.where(which.view(-1, *[1] * (yes.ndim - 1)), yes, no)
@@ -108,22 +108,22 @@ def swap(batch: Batch, which: Tensor) -> Batch:
 
 
 def crop(batch: Batch, zoom: Tensor, place: Tensor) -> Batch:
-    """Enlarge a part of every pair to the whole image's size.
+    """Enlarge a part of every pair to the size of the image.
 
-    Colour is interpolated. Depth is the nearest pixel's, carried to the new pixel's ray along that pixel's own
-    surface: exact on planes, and no two surfaces are mixed. Labels are the nearest pixel's. Objects that are left with
-    no pixel in either frame go from the table, and those with pixels in one are no longer in both.
+    Colour is interpolated. Depth is that of the nearest pixel, extrapolated along its surface to the new pixel's ray:
+    this is exact on planes and mixes no two surfaces. Labels are those of the nearest pixel. Objects without pixels in
+    either frame are removed from the table, and `in_both` becomes false for those without pixels in one.
 
     Args:
         batch: exact frames.
         zoom: (B,) from 1 up.
-        place: (B, 2) in 0..1: where between the left and right, and top and bottom borders the part lies.
+        place: (B, 2) in 0..1: position of the part between the left and right, and the top and bottom borders.
     """
     height, width = batch.curr_depth.shape[-2:]
     zoom = zoom[:, None]
     corner = place * (1 - 1 / zoom) * place.new_tensor([width, height])
     left, top = corner[:, :1], corner[:, 1:]
-    # Pixels' centres are whole numbers, so a corner lies at -0.5.
+    # Pixel centres are integers, so the image's corner lies at -0.5.
     u = (torch.arange(width, device=zoom.device) + 0.5) / zoom + left - 0.5
     v = (torch.arange(height, device=zoom.device) + 0.5) / zoom + top - 0.5
     size = (len(zoom), height, width)
