@@ -131,8 +131,8 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
 def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Generator | None) -> Inputs:
     """Network inputs from frames: colours in 0..1, points of noisy depth.
 
-    Targets and the loss on flow come from the exact points. A pixel without measured depth keeps its targets, which the
-    network has to infer from its surroundings. X is predicted from the noisy points.
+    Targets and the loss on flow come from the exact points. A pixel without measured depth keeps its targets,
+    which the network has to infer from its surroundings. X is predicted from the noisy points.
 
     Args:
         batch: exact frames.

@@ -19,13 +19,13 @@ class RigidMatchLossSettings:
     """Negative log-likelihood of the true cell, from both frames' sides, or of the dustbin."""
     window: float = 1.0
     """The same within the last small window."""
-    position: float = 20.0
+    position: float = 12.0
     """Distance in metres between a cell's expected and true position in the previous frame, on both grids."""
     match_confidence: float = 0.5
     """Cross entropy of "the match is within 2 cm of the truth"."""
-    foreground: float = 1.0
+    foreground: float = 3.0
     """Cross entropy of object or not, every cell."""
-    votes: float = 10.0
+    votes: float = 6.0
     """Errors of X and of X + T, in metres."""
     seed: float = 0.5
     """Cross entropy of a vote's quality exp(-error / 6 cm), which is 0 off the objects."""
@@ -38,7 +38,7 @@ class RigidMatchLossSettings:
     """Weight of queries without an object within `objectness`."""
     pixels: float = 2.0
     """Cross entropy and dice of the matched masks on the finest grid; trains the upsampling."""
-    flow: float = 40.0
+    flow: float = 25.0
     """Distance in metres between the flow of an object's motion and the true flow; all objects weigh the same."""
     moves: float = 0.5
     """Cross entropy of moving or not, of matched queries."""
