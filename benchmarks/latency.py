@@ -178,11 +178,10 @@ def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float
     import objectflow
     from objectflow.methods.network_io import resize_to
     from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
-    from objectflow.networks.rigidmatch.settings import SMALL
     from objectflow.networks.weights import save_weights
 
     torch.set_num_threads(settings.threads)
-    network = RigidMatch(RigidMatchSettings() if size == "full" else SMALL)
+    network = RigidMatch(RigidMatchSettings())
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "random.safetensors"
         save_weights(path, network, {"size": [240, 320] if size == "full" else [120, 160]})

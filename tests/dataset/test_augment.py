@@ -12,7 +12,7 @@ from analytic import AnalyticPair, make_scene
 from helpers.object_tables import object_table
 from objectflow import geometry
 from objectflow.dataset import transforms
-from objectflow.dataset.augment import AugmentSettings, augment, network_inputs
+from objectflow.dataset.augment import AugmentSettings, augment, network_inputs, normalize_depth
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.schema import PairObject, PairRow
 from objectflow.dataset.targets import ObjectTable, make_targets
@@ -101,14 +101,18 @@ def variation(name: str, batch: Batch) -> Batch:
         return transforms.flip(batch, EVERY)
     if name == "swap":
         return transforms.swap(batch, EVERY)
+    if name.startswith("turn"):
+        return transforms.turn(batch, int(name[4:]))
+    if name == "rescale":
+        return transforms.rescale(batch, torch.tensor([0.5, 1.0, 1.5]))
     if name == "crop":
         place = torch.tensor([[0.2, 0.9], [0.5, 0.5], [1.0, 0.0]])
         return transforms.crop(batch, torch.tensor([1.3, 1.17, 1.05]), place)
-    settings = AugmentSettings(flip=1, swap=1, zoom=1.3, brightness=0, contrast=0, saturation=0, hue=0)
+    settings = AugmentSettings(flip=1, turn=1, swap=1, zoom=1.3, brightness=0, contrast=0, saturation=0, hue=0)
     return augment(batch, settings, torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("name", ["flip", "swap", "crop", "all"])
+@pytest.mark.parametrize("name", ["flip", "turn1", "turn2", "turn3", "swap", "crop", "rescale", "all"])
 def test_motions_still_map_current_points_to_previous_ones(batch: Batch, name: str) -> None:
     before, after = quality(batch), quality(variation(name, batch))
     assert before[0] < 1e-5  # the scenes are exact, and planes stay exact
@@ -138,6 +142,41 @@ def test_applying_a_transform_twice_restores_the_batch(batch: Batch, name: str) 
             torch.testing.assert_close(getattr(twice, field.name), getattr(batch, field.name))
     for field in dataclasses.fields(ObjectTable):
         torch.testing.assert_close(getattr(twice.table, field.name), getattr(batch.table, field.name))
+
+
+def test_four_quarters_are_a_whole_turn(batch: Batch) -> None:
+    batch = with_camera_motion(batch)
+    quarter = transforms.turn(batch, 1)
+    assert quarter.curr_depth.shape == (len(batch), 160, 120)
+    assert quarter.prev_color.shape == (len(batch), 3, 160, 120)
+    again = transforms.turn(transforms.turn(quarter, 2), 1)
+    for field in dataclasses.fields(Batch):
+        if field.name not in ("keys", "table"):
+            torch.testing.assert_close(getattr(again, field.name), getattr(batch, field.name))
+    for field in dataclasses.fields(ObjectTable):
+        torch.testing.assert_close(getattr(again.table, field.name), getattr(batch.table, field.name))
+
+
+def test_median_depth_is_normalised_and_a_scale_is_drawn_around_it(batch: Batch) -> None:
+    settings = AugmentSettings(scale=(0.7, 1.4))
+    seen = network_inputs(batch, settings, None)
+    near, inputs, factor = normalize_depth(batch, seen, 0.75, settings, None)
+    torch.testing.assert_close(inputs.curr_points[:, 2].flatten(1).nanmedian(1).values, torch.full((3,), 0.75))
+    torch.testing.assert_close(near.table.translation, factor[:, None, None] * batch.table.translation)
+    far, other, half = normalize_depth(
+        transforms.rescale(batch, torch.full((3,), 5.0)), seen._replace(curr_points=5 * seen.curr_points), 0.75,
+        settings, None,
+    )  # fmt: skip
+    torch.testing.assert_close(5 * half, factor)
+    torch.testing.assert_close(far.curr_depth, near.curr_depth)
+    torch.testing.assert_close(other.curr_points, inputs.curr_points, equal_nan=True)
+    _, _, drawn = normalize_depth(batch, seen, 0.75, settings, torch.Generator().manual_seed(0))
+    assert bool(((drawn / factor > 0.7) & (drawn / factor < 1.4)).all())
+    assert len((drawn / factor).unique()) == 3
+    same, kept, one = normalize_depth(batch, seen, 0.0, settings, torch.Generator())
+    assert same is batch
+    assert kept is seen
+    assert one.tolist() == [1, 1, 1]
 
 
 def test_only_the_selected_pairs_change(batch: Batch) -> None:
@@ -265,6 +304,8 @@ def test_brightness_contrast_saturation_and_hue() -> None:
         {"kinds": ("lidar",)},
         {"kinds": ()},
         {"strength": (2.0, 1.0)},
+        {"scale": (0.0, 1.0)},
+        {"turn": 2.0},
         {"swap": float("nan")},
     ],
 )
@@ -281,7 +322,7 @@ def with_camera_motion(batch: Batch) -> Batch:
     return dataclasses.replace(batch, camera_motion=motion.expand(len(batch), 4, 4).clone())
 
 
-def test_the_camera_motion_is_mirrored_and_inverted_with_the_scene(batch: Batch) -> None:
+def test_the_camera_is_mirrored_turned_and_scaled_with_the_scene(batch: Batch) -> None:
     """The transformed motion maps the transformed image of a world point."""
     batch = with_camera_motion(batch)
     assert batch.camera_motion is not None
@@ -289,6 +330,13 @@ def test_the_camera_motion_is_mirrored_and_inverted_with_the_scene(batch: Batch)
     prev = batch.camera_motion[0] @ curr
     mirror = torch.tensor([-1.0, 1, 1, 1])
     flipped, swapped = transforms.flip(batch, EVERY), transforms.swap(batch, EVERY)
+    turned, scaled = transforms.turn(batch, 1), transforms.rescale(batch, torch.full((3,), 2.0))
+    assert turned.camera_motion is not None
+    assert scaled.camera_motion is not None
+    quarter = torch.tensor([-0.2, -0.1, 0.7, 1.0])  # x is y, y is -x
+    torch.testing.assert_close((turned.camera_motion[0] @ quarter)[:3], torch.stack([prev[1], -prev[0], prev[2]]))
+    larger = torch.tensor([2.0, 2, 2, 1])
+    torch.testing.assert_close(scaled.camera_motion[0] @ (larger * curr), larger * prev)
     assert flipped.camera_motion is not None
     assert swapped.camera_motion is not None
     torch.testing.assert_close(flipped.camera_motion[0] @ (mirror * curr), mirror * prev)

@@ -97,4 +97,4 @@ def test_models_are_equal_by_their_numbers() -> None:
     explicit = DepthNoise(base=0.0012, growth=0.0019, near=0.4)
     assert explicit == DepthNoise()
     assert explicit != MeasuredDepthNoise()
-    assert MEASURED == MeasuredDepthNoise(0.001, 0.0, 0.4, (0.5, 1.0, 2.0), (0.002, 0.004, 0.012))
+    assert MeasuredDepthNoise(0.001, 0.0, 0.4, (0.5, 1.0, 2.0), (0.002, 0.004, 0.012)) == MEASURED

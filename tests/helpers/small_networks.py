@@ -15,7 +15,7 @@ from objectflow.networks.weights import save_weights
 TINY = dataclasses.replace(NetworkSettings().scaled(0.125), reach=1, trunk_blocks=(1, 1))
 TINY_RIGID = RigidMatchSettings(
     stride=4, stem_width=8, fine_channels=8, channels=16, blocks=(1, 1, 1), attention_layers=2, heads=2, key_pool=2,
-    window=1, updates=1, queries=4, decoder_layers=1,
+    window=1, updates=1, queries=4, decoder_layers=1, xfeat="none", detail_channels=0,
 )  # fmt: skip
 VARIANTS = {"sceneflownet-s": False, "sceneflownet-c": True, "sceneflownet-c-vl": True}
 """The methods of the paper's networks, and whether their network has a correlation."""

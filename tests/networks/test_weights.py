@@ -192,6 +192,6 @@ def test_fields_that_no_tensor_depends_on_may_be_overridden(tmp_path: Path) -> N
     loaded, _ = load_network(path, settings=wanted)
     assert isinstance(loaded, RigidMatch)
     assert loaded.settings == loaded.decoder.settings == wanted
-    other = dataclasses.replace(TINY_RIGID, motion="regress")
-    with pytest.raises(MethodError, match="another configuration: motion is solve there"):
+    other = dataclasses.replace(TINY_RIGID, window_geometry=False)
+    with pytest.raises(MethodError, match="another configuration: window_geometry is True there"):
         load_network(path, settings=other)

@@ -100,8 +100,8 @@ RIGID = dataclasses.replace(RECIPE, model=RigidMatchConfig(TINY_RIGID), size=(48
 RECIPES = {
     "the paper's network": RECIPE,
     "rigidmatch": RIGID,
-    "windows and spheres": dataclasses.replace(
-        RIGID, model=RigidMatchConfig(dataclasses.replace(TINY_RIGID, matching="windowed", reach=3, objects="spheres"))
+    "details": dataclasses.replace(
+        RIGID, model=RigidMatchConfig(dataclasses.replace(TINY_RIGID, stride=8, detail_channels=6))
     ),
 }
 

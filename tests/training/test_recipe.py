@@ -13,7 +13,6 @@ import tyro
 from objectflow.cli.train import Train, default
 from objectflow.errors import TrainingError
 from objectflow.networks import SceneFlowNet
-from objectflow.networks.rigidmatch.settings import SMALL
 from objectflow.training.model_config import VARIANTS, RigidMatchConfig, SceneFlowNetConfig
 from objectflow.training.recipe import Recipe
 from objectflow.training.recipes import RECIPES, find_recipe
@@ -52,7 +51,7 @@ def test_a_variant_chooses_the_network_and_its_losses(name: str) -> None:
     assert models["c-vl"] == RECIPES[name].model
     # Nothing else differs.
     assert [model.with_variant("c-vl") for model in papers] == [models["c-vl"]] * 3
-    assert models["rigidmatch"] == (RigidMatchConfig(SMALL) if name == "cpu" else RigidMatchConfig())
+    assert models["rigidmatch"] == RigidMatchConfig()
     assert [model.method for model in models.values()] == [
         "sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl", "rigidmatch",
     ]  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 
 from helpers.pair_sets import random_pair, write_pairs
@@ -17,8 +18,10 @@ from helpers.small_networks import TINY_RIGID
 from helpers.training_runs import RIGID, checkpoint_tensors, job, write_set
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.dataset.batches import Batches
+from objectflow.dataset.transforms import rescale
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
+from objectflow.networks.rigidmatch.xfeat import XFeat
 from objectflow.networks.weights import read_header
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
@@ -115,7 +118,7 @@ def test_true_cells_and_the_match_term_are_those_of_a_loop(prepared: Prepared) -
         assert {cell: share for cell, share in pairs if share > 0} == pytest.approx(expected, abs=1e-5)
         weight = 1.0 if prepared.targets.mask[b, row * STRIDE, column * STRIDE] else 0.25
         at = row * width + column
-        logits = torch.cat([output.scores[b, at], output.hidden[b, at : at + 1]]).log_softmax(0)
+        logits = torch.cat([output.scores[b, at], output.dustbin[b, at : at + 1]]).log_softmax(0)
         if kind == "occluded":
             top, bottom = top - weight * float(logits[-1]), bottom + weight
         elif shares:
@@ -248,3 +251,30 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tmp_path: Path) -
     _, metadata = read_header(parts / "weights.safetensors")
     assert (metadata["variant"], metadata["size"]) == ("rigidmatch", [24, 32])
     assert metadata["recipe"]["model"]["network"] == SETTINGS.to_dict()
+
+
+def test_xfeat_is_needed_stays_frozen_and_travels_with_the_weights(tmp_path: Path) -> None:
+    data, path = write_set(tmp_path / "set"), tmp_path / "xfeat.safetensors"
+    model = RigidMatchConfig(dataclasses.replace(SETTINGS, xfeat="both"))
+    recipe = dataclasses.replace(RIGID, model=model, steps=2, validate_every=2)
+    with pytest.raises(MethodError, match=r"rigidmatch needs the filters of XFeat: .*--backbone-weights"):
+        train(job(data, tmp_path / "none", recipe))
+    filters = XFeat(torch.Generator().manual_seed(3)).state_dict()
+    safetensors.torch.save_file(filters, path)
+    train(dataclasses.replace(job(data, tmp_path / "run", recipe), backbone=path))
+    found = checkpoint_tensors(tmp_path / "run")
+    assert all(torch.equal(found[f"best xfeat.{name}"], value) for name, value in filters.items())
+
+
+def test_a_scaled_batch_has_the_losses_of_the_batch(prepared: Prepared) -> None:
+    """Depth is normalised before losses: the scale of the scene does not weigh."""
+    recipe = dataclasses.replace(RIGID, model=RigidMatchConfig(SETTINGS))
+    losses = []
+    for factor in (1.0, 5.0):
+        batch = rescale(prepared.batch, torch.full((2,), factor))
+        one = prepare(batch, recipe, None)
+        torch.testing.assert_close(one.scale * factor, prepare(prepared.batch, recipe, None).scale)
+        with torch.no_grad():
+            losses.append(rigidmatch_losses(network()(*one.images), one, STRIDE))
+    for name, value in losses[0].items():
+        torch.testing.assert_close(losses[1][name], value, rtol=1e-3, atol=1e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -9,15 +10,15 @@ import torch
 from torch import Tensor
 
 from objectflow.dataset.batches import Batch
-from objectflow.dataset.transforms import crop, flip, recolor, swap
+from objectflow.dataset.transforms import crop, flip, recolor, rescale, swap, turn
 from objectflow.errors import DatasetError
-from objectflow.geometry.torch_pinhole import back_project
+from objectflow.geometry.torch_pinhole import back_project, depth_factor
 from objectflow.sensors.sensor import SENSORS, ColorSensor, observe_color, observe_depth, scaled
 
 
 @dataclass(frozen=True)
 class AugmentSettings:
-    """Random variations of pairs. With everything at 0 (zoom 1, sensors off), batches stay unchanged.
+    """Random variations of pairs. With everything at 0 (zoom and scale 1, sensors off), batches stay unchanged.
 
     Raises:
         DatasetError: a share outside 0..1, a zoom below 1, or a negative amount.
@@ -25,6 +26,9 @@ class AugmentSettings:
 
     flip: float = 0.5
     """Share of pairs that are mirrored left to right, 0..1."""
+    turn: float = 0.5
+    """Share of batches that are rotated by one, two or three quarter turns, 0..1; all pairs of a batch alike, so that
+    it stays rectangular."""
     swap: float = 0.5
     """Share of pairs whose frames are swapped and motions inverted, 0..1."""
     zoom: float = 1.3
@@ -37,6 +41,8 @@ class AugmentSettings:
     """Radians: maximum rotation of hue."""
     frame_jitter: float = 0.15
     """Colour change of each frame alone, relative to the change that both frames of a pair share."""
+    scale: tuple[float, float] = (0.7, 1.4)
+    """Range of the scale of each pair, uniform in its logarithm; used where depth is normalised before a network."""
     depth_sensor: float = 0.9
     """Share of the groups of pairs whose depth passes through a sensor model, 0..1; the others keep exact depth."""
     kinds: tuple[str, ...] = ("structured-light", "time-of-flight", "stereo")
@@ -49,7 +55,7 @@ class AugmentSettings:
     """Number of groups in a batch; each group has its own sensors."""
 
     def __post_init__(self) -> None:
-        for name in ("flip", "swap", "depth_sensor", "color_sensor"):
+        for name in ("flip", "turn", "swap", "depth_sensor", "color_sensor"):
             if not 0 <= getattr(self, name) <= 1:
                 raise DatasetError(f"augmentation setting {name} must lie in 0..1, not {getattr(self, name)}")
         for name in ("brightness", "contrast", "saturation", "hue", "frame_jitter"):
@@ -61,13 +67,18 @@ class AugmentSettings:
             raise DatasetError(
                 f"augmentation setting kinds must name depth sensors of {', '.join(SENSORS)}, not {self.kinds}"
             )
+        if not 0 < self.scale[0] <= self.scale[1] < float("inf"):
+            raise DatasetError(f"augmentation setting scale must be a range above 0, not {self.scale}")
         if not 0 <= self.strength[0] <= self.strength[1] < float("inf"):
             raise DatasetError(f"augmentation setting strength must be a range from 0 up, not {self.strength}")
 
     @classmethod
     def nothing(cls) -> AugmentSettings:
         """No variation and exact frames, as for validation."""
-        return cls(0, 0, 1, 0, 0, 0, 0, 0, depth_sensor=0, color_sensor=0)
+        return cls(
+            flip=0, turn=0, swap=0, zoom=1, brightness=0, contrast=0, saturation=0, hue=0, frame_jitter=0,
+            scale=(1, 1), depth_sensor=0, color_sensor=0,
+        )  # fmt: skip
 
 
 class Inputs(NamedTuple):
@@ -87,7 +98,7 @@ class Inputs(NamedTuple):
 
 
 def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator) -> Batch:
-    """Vary every pair of a batch independently.
+    """Vary every pair of a batch independently; quarter turns are common to the batch.
 
     Args:
         batch: exact frames, on the generator's device.
@@ -101,6 +112,9 @@ def augment(batch: Batch, settings: AugmentSettings, generator: torch.Generator)
 
     # All numbers are always drawn, so that one setting does not change the random numbers of another.
     mirrored, swapped, unit, place, colors = draw(), draw(), draw(), draw(2), draw(3, 4)
+    turned = torch.rand(2, generator=generator, device=generator.device).tolist()
+    if turned[0] < settings.turn:
+        batch = turn(batch, 1 + int(3 * turned[1]))
     if settings.swap > 0:
         batch = swap(batch, swapped < settings.swap)
     if settings.flip > 0:
@@ -139,6 +153,35 @@ def network_inputs(batch: Batch, settings: AugmentSettings, generator: torch.Gen
     prev_color, curr_color, prev_points, curr_points = color[::2], color[1::2], points[::2], points[1::2]
     exact_points = curr_points if generator is None else _points(batch.curr_depth, batch.intrinsics)
     return Inputs(prev_color, prev_points, curr_color, curr_points, exact_points)
+
+
+def normalize_depth(
+    batch: Batch, inputs: Inputs, median: float, settings: AugmentSettings, generator: torch.Generator | None
+) -> tuple[Batch, Inputs, Tensor]:
+    """Bring each pair's median depth to `median` metres, and then to a scale drawn around it.
+
+    Sensors measure true depth, so this comes after `network_inputs`.
+
+    Args:
+        batch: exact frames.
+        inputs: made from them.
+        median: metres; 0 leaves depth as it is.
+        settings: range of the drawn scale.
+        generator: on the batch's device; None draws no scale.
+
+    Returns:
+        Batch and inputs with lengths multiplied by each pair's factor, and the factors (B,).
+    """
+    if median == 0:
+        return batch, inputs, inputs.curr_points.new_ones(len(batch))
+    factor = depth_factor(inputs.curr_points, median)
+    if generator is not None:
+        low, high = (math.log(one) for one in settings.scale)
+        unit = torch.rand(len(batch), generator=generator, device=generator.device)
+        factor = factor * (low + (high - low) * unit).exp()
+    wide = factor[:, None, None, None]
+    points = {name: wide * getattr(inputs, name) for name in ("prev_points", "curr_points", "exact_points")}
+    return rescale(batch, factor), inputs._replace(**points), factor
 
 
 def _observed(

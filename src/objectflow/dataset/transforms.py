@@ -1,4 +1,4 @@
-"""The transforms of batches that augmentation combines: flip, swap, crop and recolour.
+"""The transforms of batches that augmentation combines: turn, flip, swap, crop, rescale and recolour.
 
 The geometry stays exact: the object table still maps every current point to its previous position.
 """
@@ -47,6 +47,43 @@ def flip(batch: Batch, which: Tensor) -> Batch:
         mirrored = signs[:, None] * batch.camera_motion * signs
         images["camera_motion"] = torch.where(which[:, None, None], mirrored, batch.camera_motion)
     return replace(batch, intrinsics=torch.stack([fx, fy, cx, cy], 1), table=table, **images)
+
+
+def turn(batch: Batch, quarters: int) -> Batch:
+    """Turn all pairs counter-clockwise by quarter turns; odd numbers exchange height and width.
+
+    The camera is turned about its optical axis: (x, y) becomes (y, -x), and with it all vectors of the table.
+    """
+    for _ in range(quarters % 4):
+        width = batch.curr_depth.shape[-1]
+        images: dict[str, Any] = {name: getattr(batch, name).rot90(1, (-2, -1)) for name in _IMAGES}
+        fx, fy, cx, cy = batch.intrinsics.unbind(1)
+        quarter = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]], device=batch.intrinsics.device)
+        vectors = {name: getattr(batch.table, name) @ quarter.T for name in ("center", "translation", "rotation")}
+        if batch.camera_motion is not None:
+            camera = torch.eye(4, device=quarter.device)
+            camera[:3, :3] = quarter
+            images["camera_motion"] = camera @ batch.camera_motion @ camera.T
+        intrinsics = torch.stack([fy, fx, cy, width - 1 - cx], 1)
+        batch = replace(batch, intrinsics=intrinsics, table=replace(batch.table, **vectors), **images)
+    return batch
+
+
+def rescale(batch: Batch, factor: Tensor) -> Batch:
+    """Multiply all lengths of each pair by its factor (B,), as if the scene and the camera's path were larger."""
+    images: dict[str, Any] = {
+        name: factor[:, None, None] * getattr(batch, name) for name in ("prev_depth", "curr_depth")
+    }
+    table = replace(
+        batch.table,
+        center=factor[:, None, None] * batch.table.center,
+        translation=factor[:, None, None] * batch.table.translation,
+    )
+    if batch.camera_motion is not None:
+        scaled = batch.camera_motion.clone()
+        scaled[:, :3, 3] *= factor[:, None]
+        images["camera_motion"] = scaled
+    return replace(batch, table=table, **images)
 
 
 def swap(batch: Batch, which: Tensor) -> Batch:

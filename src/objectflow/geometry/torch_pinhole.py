@@ -53,3 +53,17 @@ def _check_map(values: Tensor, channels: int, fx_fy_cx_cy: Tensor) -> None:
         raise GeometryError(
             f"expected intrinsics (B, 4) for a batch of {values.shape[0]}, not {tuple(fx_fy_cx_cy.shape)}"
         )
+
+
+def depth_factor(points: Tensor, median: float) -> Tensor:
+    """(B,) factor that brings each frame's median depth to `median` metres; 1 without any depth, or for a median of 0.
+
+    Args:
+        points: (B, 3, H, W) metres, NaN where depth is missing.
+        median: metres.
+    """
+    ones = points.new_ones(len(points))
+    if median == 0:
+        return ones
+    found = points[:, 2].flatten(1).nanmedian(dim=1).values
+    return torch.where(found > 0, median / found, ones)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from objectflow.errors import MethodError, MissingExtraError
 from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
+from objectflow.networks.rigidmatch import RigidMatch
 from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 from objectflow.networks.weights import Network
 from objectflow.storage import files
@@ -77,8 +78,7 @@ def export_onnx(
 def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
     """The graph, and torch's results for the same frames."""
     training, device = network.training, next(network.parameters()).device
-    form = network if isinstance(network, SceneFlowNet) else ExportableRigidMatch(network)
-    names = SceneFlowNetOutput._fields if isinstance(network, SceneFlowNet) else ExportableRigidMatch.OUTPUTS
+    form, names = (network, SceneFlowNetOutput._fields) if isinstance(network, SceneFlowNet) else _exportable(network)
     try:
         network.eval().cpu()
         with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
@@ -98,6 +98,11 @@ def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str
     finally:
         network.train(training).to(device)
     return data, expected
+
+
+def _exportable(network: RigidMatch) -> tuple[ExportableRigidMatch, tuple[str, ...]]:
+    form = ExportableRigidMatch(network)
+    return form, form.outputs
 
 
 def _frames(size: tuple[int, int]) -> dict[str, Tensor]:

@@ -55,6 +55,11 @@ class SceneFlowNetConfig:
         return self.loss.rotation_weight
 
     @property
+    def median_depth(self) -> float:
+        """Zero: the network takes depth as it is."""
+        return 0.0
+
+    @property
     def grouping(self) -> GroupingSettings:
         """How pixels are grouped: in the same trajectory space as in the losses."""
         return GroupingSettings(rotation_weight=self.rotation_weight)
@@ -88,6 +93,11 @@ class RigidMatchConfig:
     def rotation_weight(self) -> float:
         """Zero: votes have no rotation."""
         return 0.0
+
+    @property
+    def median_depth(self) -> float:
+        """Metres to which the median depth of each pair is brought; 0 leaves depth as it is."""
+        return self.network.median_depth
 
 
 ModelConfig = SceneFlowNetConfig | RigidMatchConfig

@@ -7,7 +7,6 @@ import dataclasses
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.errors import TrainingError
 from objectflow.networks import NetworkSettings
-from objectflow.networks.rigidmatch.settings import SMALL
 from objectflow.training.model_config import VARIANTS, RigidMatchConfig, SceneFlowNetConfig
 from objectflow.training.recipe import Recipe
 from objectflow.training.sceneflownet_losses import SceneFlowNetLossSettings
@@ -38,7 +37,7 @@ _SCENEFLOWNET = {
     "gpu": SceneFlowNetConfig(_FAST, _FAST_LOSS),
     "cpu": SceneFlowNetConfig(_FAST_NARROW, _FAST_LOSS),
 }
-_RIGIDMATCH = {"paper": RigidMatchConfig(), "gpu": RigidMatchConfig(), "cpu": RigidMatchConfig(network=SMALL)}
+_RIGIDMATCH = dict.fromkeys(("paper", "gpu", "cpu"), RigidMatchConfig())
 """The size of each network that fits each recipe."""
 
 RECIPES: dict[str, Recipe] = {

@@ -6,8 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
-from objectflow.networks.rigidmatch.refinement import mix_neighbors
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, upsampled_masks
 from objectflow.training.hungarian import AREA_OFFSET, assign_queries, mask_costs
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_targets import Cells, RigidMatchTargets, make_rigidmatch_targets
@@ -17,7 +16,7 @@ _CORRECT = 0.02
 """Largest error in metres of a match that counts as correct."""
 _EXCLUDED = -1e3
 """Scores below this belong to cells that are excluded from matching."""
-_SEED_DECAY = 0.04
+_SEED_DECAY = 0.06
 """Error in metres at which a vote's target value as a seed has fallen to 1 / e."""
 
 
@@ -55,13 +54,14 @@ def rigidmatch_losses(
 def cropped(output: RigidMatchOutput, truth: RigidMatchTargets) -> RigidMatchOutput:
     """The output without the cells beyond the image's edge, except for `scores` and the fields that belong to it."""
     height, width = truth.owner.shape[-2:]
-    dense = ("match", "window_logits", "window_center", "reliability", "foreground", "seed", "votes", "masks")
+    dense = ("match", "window_logits", "window_center", "match_confidence", "foreground", "seed", "votes", "masks")
     changes = {name: getattr(output, name)[..., :height, :width] for name in dense}
-    return output._replace(**changes, upsampling=output.upsampling[..., :height, :width])
+    details = output.details[..., : 2 * height, : 2 * width]
+    return output._replace(**changes, upsampling=output.upsampling[..., :height, :width], details=details)
 
 
 def match_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
-    """-log of the true cell's probability over rows and over columns, or of "occluded"; the mean over cells."""
+    """-log of the true cell's probability over rows and over columns, or of the dustbin; the mean over cells."""
     height, width = output.coarse_match.shape[-2:]
     index, share = _padded(truth.coarse.cell, truth.coarse, height, width), truth.coarse.share
     share, weight, occluded = (
@@ -70,12 +70,12 @@ def match_term(output: RigidMatchOutput, truth: RigidMatchTargets) -> Tensor:
     )
     at, part = index.flatten(2).mT, share.flatten(2).mT
     scores = output.scores.gather(2, at)
-    part = part * (scores > _EXCLUDED)  # excluded: beyond the window of windowed matching
+    part = part * (scores > _EXCLUDED)  # cells without depth cannot be a match
     found = (part * (2 * scores - output.rows[..., None] - output.columns.gather(1, at.flatten(1)).view_as(at))).sum(2)
     known = part.sum(2) > 0
     lost = occluded.flatten(1)
-    # A match has two terms; "occluded" has one, since it has no column.
-    total = -torch.where(known, 0.5 * found, torch.where(lost, output.hidden - output.rows, 0.0))
+    # A match has two terms; the dustbin has one, since it has no column.
+    total = -torch.where(known, 0.5 * found, torch.where(lost, output.dustbin - output.rows, 0.0))
     return _mean(total, weight.flatten(1) * (known | lost))
 
 
@@ -117,7 +117,7 @@ def match_confidence_term(output: RigidMatchOutput, truth: RigidMatchTargets) ->
     """Cross entropy of "this match is within 2 cm of the truth"."""
     error = _length(output.match.detach() - truth.fine_position)
     correct = ((error < _CORRECT) & truth.fine.seen).float()
-    entropy = F.binary_cross_entropy_with_logits(output.reliability[:, 0], correct, reduction="none")
+    entropy = F.binary_cross_entropy_with_logits(output.match_confidence[:, 0], correct, reduction="none")
     return _mean(entropy, truth.fine_weight)
 
 
@@ -155,7 +155,7 @@ def object_terms(
         "dice": _mean(_of(costs.dice, at), found),
     }
     last, kept = at[-1], found[-1]
-    terms["pixels"] = _pixel_term(output, prepared, last, kept)
+    terms["pixels"] = pixel_term(output, prepared, last, kept)
     both = kept & truth.in_both
     terms["flow"] = flow_term(output, truth, last, both)
     logits = output.moves.gather(1, last)
@@ -168,14 +168,19 @@ def _of(costs: Tensor, query: Tensor) -> Tensor:
     return costs.gather(2, query[:, :, None])[:, :, 0]
 
 
-def _pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
-    """Cross entropy and dice of the matched masks at full resolution."""
-    K = query.shape[1]
+def pixel_term(output: RigidMatchOutput, prepared: Prepared, query: Tensor, kept: Tensor) -> Tensor:
+    """Cross entropy and dice of the matched masks on the finest grid."""
+    # Each pair's matched objects first, and no column that is empty in all pairs.
+    most = max(1, int(kept.sum(1).max()))
+    rows = (~kept).to(torch.uint8).argsort(dim=1, stable=True)[:, :most]
+    query, kept = query.gather(1, rows), kept.gather(1, rows)
     chosen = output.masks[-1].gather(1, query[..., None, None].expand(-1, -1, *output.masks.shape[-2:]))
-    index = prepared.targets.index
-    height, width = index.shape[-2:]
-    logits = mix_neighbors(chosen, output.upsampling)[..., :height, :width].flatten(2)
-    true = (index[:, None] == torch.arange(K, device=index.device)[:, None, None]).flatten(2).to(logits.dtype)
+    queries = output.detail_queries.gather(1, query[..., None].expand(-1, -1, output.detail_queries.shape[-1]))
+    logits = upsampled_masks(chosen, output.upsampling, queries, output.details)
+    step = 1 if not queries.shape[-1] else 2
+    index = prepared.targets.index[:, ::step, ::step]
+    logits = logits[..., : index.shape[-2], : index.shape[-1]].flatten(2)
+    true = (index[:, None] == rows[..., None, None]).flatten(2).to(logits.dtype)
     area, inside = true.sum(2), logits.sigmoid()
     entropy = (F.softplus(logits) - logits * true).sum(2) / (area + AREA_OFFSET * logits.shape[2])
     dice = 1 - (2 * (inside * true).sum(2) + 1) / (inside.sum(2) + area + 1)

@@ -27,7 +27,8 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
     Args:
         recipe: its model and the seed of its random weights.
         process: this process, with its device.
-        backbone: torchvision's `resnet50` state dict for the colour trunk.
+        backbone: torchvision's `resnet50` state dict for the colour trunk of the paper's network, or XFeat's filters
+            for rigidmatch.
         start: weights of an earlier run to start from.
 
     Raises:
@@ -40,9 +41,7 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
             adapter = SceneFlowNetAdapter(_sceneflownet(paper, generator, backbone, start), paper)
             has_batch_norm = paper.network.trunk_norm == "batch"
         case RigidMatchConfig() as rigid:
-            if backbone is not None:
-                raise MethodError(f"{backbone}: rigidmatch has no ResNet-50 trunk: leave backbone weights out")
-            adapter = RigidMatchAdapter(_rigidmatch(rigid, generator, start), rigid)
+            adapter = RigidMatchAdapter(_rigidmatch(rigid, generator, backbone, start), rigid)
             has_batch_norm = True
     network = adapter.network
     network.to(process.device).train()
@@ -65,10 +64,21 @@ def _sceneflownet(
     return network
 
 
-def _rigidmatch(config: RigidMatchConfig, generator: torch.Generator, start: Path | None) -> RigidMatch:
+def _rigidmatch(
+    config: RigidMatchConfig, generator: torch.Generator, backbone: Path | None, start: Path | None
+) -> RigidMatch:
     if start is not None:
-        return load_network(start, settings=config.network)[0]
-    return RigidMatch(config.network, generator=generator)
+        network, _ = load_network(start, settings=config.network)
+    else:
+        network = RigidMatch(config.network, generator=generator)
+    if backbone is not None:
+        network.load_backbone(backbone)
+    elif start is None and config.network.xfeat != "none":
+        raise MethodError(
+            "rigidmatch needs the filters of XFeat: give a file of scripts/convert_xfeat.py by --backbone-weights, "
+            "weights to start from by --start-from, or --model.network.xfeat none"
+        )
+    return network
 
 
 def build_optimizer(recipe: Recipe, network: nn.Module, device: torch.device) -> torch.optim.Optimizer:

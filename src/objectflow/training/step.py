@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from objectflow.dataset.augment import augment, network_inputs
+from objectflow.dataset.augment import augment, network_inputs, normalize_depth
 from objectflow.dataset.batches import Batch
 from objectflow.dataset.pixel_matches import previous_pixels
 from objectflow.dataset.targets import Targets, make_targets, with_camera
@@ -23,7 +23,8 @@ class Prepared(NamedTuple):
         points: (B, 3, H, W) metres, the current frame's exact points; NaN where depth is missing.
         targets: made from them.
         matches: (B, 2, H, W) column and row of each point in the previous image, NaN where it is not visible there.
-        batch: the exact frames, after augmentation.
+        batch: the exact frames, after augmentation and scaling.
+        scale: (B,) factor by which all lengths of each pair were multiplied.
     """
 
     images: tuple[Tensor, Tensor, Tensor, Tensor]
@@ -31,6 +32,7 @@ class Prepared(NamedTuple):
     targets: Targets
     matches: Tensor
     batch: Batch
+    scale: Tensor
 
 
 def step_generator(seed: int, step: int, rank: int, device: torch.device) -> torch.Generator:
@@ -50,6 +52,7 @@ def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> 
     if generator is not None:
         batch = augment(batch, recipe.augment, generator)
     seen = network_inputs(batch, recipe.augment, generator)
+    batch, seen, scale = normalize_depth(batch, seen, recipe.model.median_depth, recipe.augment, generator)
     targets = make_targets(
         batch.table, batch.curr_labels, seen.exact_points, rotation_weight=recipe.model.rotation_weight
     )
@@ -59,4 +62,4 @@ def prepare(batch: Batch, recipe: Recipe, generator: torch.Generator | None) -> 
         a, b, c, d = (image.contiguous(memory_format=torch.channels_last) for image in images)
         images = (a, b, c, d)
     matches = previous_pixels(seen.exact_points, targets.flow, batch.prev_depth, batch.intrinsics)
-    return Prepared(images, seen.exact_points, targets, matches, batch)
+    return Prepared(images, seen.exact_points, targets, matches, batch, scale)

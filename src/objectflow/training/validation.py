@@ -94,9 +94,11 @@ def validate(adapter: NetworkAdapter, batches: Iterable[Batch], recipe: Recipe, 
 def _score(motion: SceneMotion, labels: LabelImage, prepared: Prepared, index: int) -> dict[str, float]:
     """The metrics of one pair, and the number of pairs that each counts for."""
     measured = torch.isfinite(prepared.points[index]).all(dim=0)
-    true_flow = torch.where(measured, prepared.targets.flow[index], torch.nan).permute(1, 2, 0).cpu().numpy()
+    scale = float(prepared.scale[index])
+    flow_map = torch.where(measured, prepared.targets.flow[index] / scale, torch.nan)
+    true_flow = flow_map.permute(1, 2, 0).cpu().numpy()
     seen = prepared.targets.seen[index].cpu().numpy()
-    flow = score_flow(motion.scene_flow, true_flow, seen, seen).masked
+    flow = score_flow(motion.scene_flow / np.float32(scale), true_flow, seen, seen).masked
     zero = score_flow(np.zeros_like(true_flow), true_flow, seen, seen).masked
     segmentation = score_segmentation(labels, motion.labels)
     numbers = {

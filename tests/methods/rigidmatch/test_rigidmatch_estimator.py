@@ -20,7 +20,7 @@ from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
 from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 from objectflow.networks.rigidmatch.network import PRIOR
 from objectflow.networks.rigidmatch.rigid_solver import solve_motions
-from objectflow.networks.weights import load_network, load_weights
+from objectflow.networks.weights import load_network, load_weights, save_weights
 
 
 def network() -> RigidMatch:
@@ -114,17 +114,36 @@ def test_weights_come_back_as_the_network_that_they_were(tmp_path: Path) -> None
     assert all(torch.equal(value, expected[name]) for name, value in found.state_dict().items())
 
 
-def test_the_exported_graph_says_what_the_solve_needs(tmp_path: Path) -> None:
+def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_path: Path) -> None:
+    pair = analytic.make_scene(0, objects=(2, 4), motion=(0.005, 0.015), max_angle_deg=6)
+    made, path = network(), tmp_path / "w.safetensors"
+    torch.nn.init.constant_(made.decoder.shape.bias, 20.0)  # large masks
+    save_weights(path, made, {"variant": "rigidmatch", "size": [48, 64]})
+    estimator = objectflow.load("rigidmatch", weights=path, camera="static", rigid="solve", threshold=0.0)
+    large = [dataclasses.replace(frame, depth=5 * frame.depth) for frame in (pair.prev, pair.curr)]
+    found, scaled = estimator(pair.prev, pair.curr), estimator(*large)
+    assert len(found.objects) > 0
+    # Borders are snapped by the noise of true depth, so single pixels may differ.
+    assert float((found.labels != scaled.labels).mean()) < 0.02
+    for one, other in zip(found.objects, scaled.objects, strict=True):
+        np.testing.assert_allclose(other.prev_T_curr[:3, :3], one.prev_T_curr[:3, :3], atol=1e-3)
+        np.testing.assert_allclose(other.prev_T_curr[:3, 3], 5 * one.prev_T_curr[:3, 3], atol=5e-3)
+        np.testing.assert_allclose(other.center, 5 * one.center, atol=5e-3)
+
+
+@pytest.mark.parametrize("changes", [{}, {"stride": 8, "detail_channels": 6, "xfeat": "both"}], ids=str)
+def test_the_exported_graph_has_what_the_solve_needs(tmp_path: Path, changes: dict[str, Any]) -> None:
     onnxruntime = pytest.importorskip("onnxruntime")
-    path, made = tmp_path / "n.onnx", network()
+    path = tmp_path / "n.onnx"
+    made = RigidMatch(dataclasses.replace(TINY_RIGID, **changes), generator=torch.Generator().manual_seed(0)).eval()
     differences = export.export_onnx(path, made, (48, 64))
-    assert list(differences) == list(ExportableRigidMatch.OUTPUTS)
+    assert list(differences) == list(ExportableRigidMatch(made).outputs)
     assert max(differences.values()) < 1e-4
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     seen = [one[1:] for one in images()]
     found = dict(
         zip(
-            ExportableRigidMatch.OUTPUTS,
+            ExportableRigidMatch(made).outputs,
             session.run(None, {name: one.numpy() for name, one in zip(export.INPUTS, seen, strict=True)}),
             strict=True,
         )

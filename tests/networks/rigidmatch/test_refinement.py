@@ -6,7 +6,10 @@ import numpy as np
 import torch
 
 from objectflow.networks.rigidmatch.inputs import Grid, cells
-from objectflow.networks.rigidmatch.refinement import _update, mix_neighbors
+from objectflow.networks.rigidmatch.outputs import pixel_masks, upsampled_masks
+from objectflow.networks.rigidmatch.refinement import _update
+from objectflow.networks.rigidmatch.upsampling import mix_neighbors
+from objectflow.networks.rigidmatch.window_geometry import WindowGeometry
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -62,3 +65,32 @@ def test_an_update_is_the_expectation_over_its_window() -> None:
         )
         torch.testing.assert_close(peak[0, 0, row, column], share.max())
     assert logits.shape == (1, 9, height, width)
+
+
+def test_window_scores_see_offsets_from_the_current_match() -> None:
+    """Logits that fall with the distance from the match make the nearest cell the best."""
+    made = WindowGeometry(4)
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter.zero_()
+        made.window.weight[0, 3] = 1.0  # the length
+        made.out.weight[0, 0] = -1.0
+    points, match = torch.rand(1, 6, 9, 3, generator=generator(1)), torch.rand(1, 3, 2, 3, generator=generator(2))
+    with torch.no_grad():
+        found = made(made.context(torch.rand(1, 4, 2, 3)), torch.zeros(1, 6, 9), points, match)
+    expected = -10 * (points - match.flatten(2).mT[:, :, None]).norm(dim=-1)
+    torch.testing.assert_close(found, expected)
+
+
+def test_masks_get_details_and_are_linear_between_their_cells() -> None:
+    masks, weights = torch.rand(1, 2, 3, 4, generator=generator(1)), torch.zeros(1, 9, 4, 3, 4)
+    weights[:, 4] = 1
+    queries, details = torch.rand(1, 2, 5, generator=generator(2)), torch.rand(1, 5, 6, 8, generator=generator(3))
+    cells_ = upsampled_masks(masks, weights, queries, details)
+    for k, row, column in np.ndindex(2, 6, 8):
+        expected = masks[0, k, row // 2, column // 2] + queries[0, k] @ details[0, :, row, column] / 5**0.5
+        torch.testing.assert_close(cells_[0, k, row, column], expected)
+    pixels = pixel_masks(masks, weights, queries, details)
+    assert pixels.shape == (1, 2, 12, 16)
+    torch.testing.assert_close(pixels[..., ::2, ::2], cells_)
+    torch.testing.assert_close(pixels[..., 3, 4], (cells_[..., 1, 2] + cells_[..., 2, 2]) / 2)

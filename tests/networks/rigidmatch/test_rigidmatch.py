@@ -18,9 +18,9 @@ from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean, dual_softmax_mean_of_product
 from objectflow.networks.rigidmatch.inputs import Grid, cells, encode_inputs, grid
 from objectflow.networks.rigidmatch.matching import GlobalMatching
+from objectflow.networks.rigidmatch.outputs import pixel_masks
 from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.seeds import choose_seeds
-from objectflow.networks.rigidmatch.settings import SMALL
 
 
 def generator(seed: int = 0) -> torch.Generator:
@@ -39,19 +39,29 @@ def images(height: int, width: int, batch: int = 2) -> list[Tensor]:
 
 
 def test_settings_survive_json() -> None:
-    for settings in (RigidMatchSettings(), SMALL, TINY_RIGID):
+    for settings in (RigidMatchSettings(), TINY_RIGID):
         assert RigidMatchSettings.from_dict(json.loads(json.dumps(settings.to_dict()))) == settings
+
+
+def test_headers_of_the_first_generation_describe_its_networks() -> None:
+    old = {"stride": 4, "key_pool": 2, "matching": "global", "reach": 10, "objects": "queries", "motion": "solve"}
+    found = RigidMatchSettings.from_dict(old)
+    assert (found.stride, found.key_pool) == (4, 2)
+    assert (found.xfeat, found.window_geometry, found.detail_channels, found.median_depth) == ("none", False, 0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
         ({"stride": 6}, "stride must be 4 or 8, not 6"),
-        ({"heads": 3}, "multiple of heads"),
+        ({"heads": 5}, "multiple of heads"),
         ({"queries": 0}, "queries must be at least 1, not 0"),
         ({"blocks": [1, 1]}, "blocks needs three numbers"),
         ({"blocks": [1, 1, "a"]}, "blocks must be of type int"),
-        ({"matching": "local"}, "matching must be one of global, windowed, not 'local'"),
+        ({"xfeat": "only"}, "xfeat must be one of none, input, score, both, not 'only'"),
+        ({"matching": "windowed"}, "matching 'windowed' is no longer supported, only 'global'"),
+        ({"stride": 4}, "detail_channels needs a stride of 8"),
+        ({"median_depth": -1.0}, "median_depth must be finite and >= 0"),
         ({"seed_radius": float("nan")}, "seed_radius must be finite"),
         ({"widths": 3}, "unknown network setting 'widths'"),
         ({"stride": "8"}, "stride must be of type int"),
@@ -63,7 +73,7 @@ def test_settings_that_make_no_network_are_named(values: dict[str, Any], message
 
 
 def test_the_full_size_keeps_to_its_budget() -> None:
-    assert sum(one.numel() for one in RigidMatch().parameters()) < 12e6
+    assert sum(one.numel() for one in RigidMatch().state_dict().values()) < 6e6
 
 
 # --- the inputs ---
@@ -104,17 +114,17 @@ def test_a_grid_takes_single_points_and_fills_holes_from_near() -> None:
 def test_dual_softmax_is_that_of_its_definition_with_the_true_gradient() -> None:
     rng = generator(1)
     scores = torch.randn(2, 5, 6, dtype=torch.float64, generator=rng).mul(3).requires_grad_()
-    hidden = torch.randn(2, 5, dtype=torch.float64, generator=rng).requires_grad_()
+    dustbin = torch.randn(2, 5, dtype=torch.float64, generator=rng).requires_grad_()
     values = torch.randn(2, 6, 3, dtype=torch.float64, generator=rng).requires_grad_()
-    sums, rows, columns = dual_softmax_mean(scores, hidden, values)
-    with_hidden = torch.cat([scores, hidden[..., None]], dim=2)
+    sums, rows, columns = dual_softmax_mean(scores, dustbin, values)
+    with_hidden = torch.cat([scores, dustbin[..., None]], dim=2)
     weights = with_hidden.softmax(2)[..., :-1] * scores.softmax(1)
     torch.testing.assert_close(sums, weights @ values)
     torch.testing.assert_close(rows, with_hidden.logsumexp(2))
     torch.testing.assert_close(columns, scores.logsumexp(1))
     with torch.no_grad():
-        torch.testing.assert_close(dual_softmax_mean(scores, hidden, values)[0], sums)
-    assert torch.autograd.gradcheck(dual_softmax_mean, (scores, hidden, values))
+        torch.testing.assert_close(dual_softmax_mean(scores, dustbin, values)[0], sums)
+    assert torch.autograd.gradcheck(dual_softmax_mean, (scores, dustbin, values))
 
 
 @torch.no_grad()
@@ -122,10 +132,10 @@ def test_dual_softmax_is_that_of_its_definition_with_the_true_gradient() -> None
 def test_without_a_table_the_dual_softmax_is_the_same(cells: int) -> None:
     rng = generator(2)
     left, right = (torch.randn(2, n, 9, dtype=torch.float64, generator=rng) for n in (cells, 70))
-    hidden = torch.randn(2, cells, dtype=torch.float64, generator=rng)
+    dustbin = torch.randn(2, cells, dtype=torch.float64, generator=rng)
     values = torch.randn(2, 70, 3, dtype=torch.float64, generator=rng)
-    whole = dual_softmax_mean(left @ right.mT, hidden, values)
-    for one, other in zip(dual_softmax_mean_of_product(left, right, hidden, values), whole, strict=True):
+    whole = dual_softmax_mean(left @ right.mT, dustbin, values)
+    for one, other in zip(dual_softmax_mean_of_product(left, right, dustbin, values), whole, strict=True):
         torch.testing.assert_close(one, other)
 
 
@@ -152,7 +162,7 @@ def test_barred_cells_and_large_logits_keep_everything_finite() -> None:
 
 
 def matcher(**changes: Any) -> GlobalMatching:
-    """Tokens are their own descriptors; nothing is expected, and nothing hidden."""
+    """Tokens are their own descriptors; nothing is expected, and nothing dustbin."""
     made = GlobalMatching(dataclasses.replace(TINY_RIGID, **changes))
     with torch.no_grad():
         for parameter in made.parameters():
@@ -160,7 +170,7 @@ def matcher(**changes: Any) -> GlobalMatching:
         made.project.weight.copy_(torch.eye(16))
         made.log_scale.fill_(4.0)
         made.prior.bias[0] = -20.0
-        made.hidden.bias.fill_(-20.0)
+        made.dustbin.bias.fill_(-20.0)
     return made
 
 
@@ -183,17 +193,15 @@ def test_matching_finds_shuffled_cells_and_their_points() -> None:
     torch.testing.assert_close(found.feature[0].flatten(1).T, curr[0], rtol=0, atol=0.05)
 
 
-def test_cells_without_depth_and_beyond_the_window_are_never_matched() -> None:
+def test_cells_without_depth_are_never_matched() -> None:
     size = (1, 8)
     tokens = torch.eye(8, 16)[None]
     points = torch.ones(1, 3, *size)
     valid = torch.ones(1, 1, *size)
     valid[..., 5] = 0
-    found = matcher(matching="windowed", reach=2)(
+    found = matcher()(
         torch.cat([tokens, tokens.roll(4, 1)]), Grid(points, torch.ones_like(valid)), Grid(points, valid)
     )
-    place = torch.arange(8)
-    assert (found.scores[0][(place[:, None] - place).abs() > 2] < -5e3).all()
     assert (found.scores[0][:, 5] < -5e3).all()
 
 
@@ -310,9 +318,9 @@ def test_matches_that_do_not_fit_weigh_less() -> None:
 
 FORMS: list[dict[str, Any]] = [
     {},
-    {"matching": "windowed", "reach": 3},
-    {"motion": "regress"},
-    {"objects": "spheres"},
+    {"xfeat": "input"},
+    {"xfeat": "score", "window_geometry": False},
+    {"xfeat": "both", "stride": 8, "detail_channels": 6},
     {"updates": 0},
     {"updates": 2, "window": 2, "stride": 8, "rounds": 0, "key_pool": 1},
     {"decoder_layers": 0, "attention_layers": 0},
@@ -327,8 +335,14 @@ def test_every_form_of_the_network_speaks_and_learns(changes: dict[str, Any]) ->
     H, W = (-(-one // (2 * settings.stride)) * 4 for one in (37, 50))
     assert output.match.shape == (2, 3, H, W)
     assert output.masks.shape[1:] == (2, 4, H, W)
-    assert output.upsampling.shape == (2, 9, settings.fine_stride**2, H, W)
-    numbers = [one for one in output if one.is_floating_point()]
+    assert output.upsampling.shape == (2, 9, (settings.fine_stride // settings.mask_stride) ** 2, H, W)
+    assert pixel_masks(output.masks[-1], output.upsampling, output.detail_queries, output.details).shape == (
+        2,
+        4,
+        settings.fine_stride * H,
+        settings.fine_stride * W,
+    )
+    numbers = [one for one in output if one.is_floating_point() and one.numel()]
     assert all(bool(one.isfinite().all()) for one in numbers)
     torch.testing.assert_close(torch.linalg.det(output.rotation), torch.ones(2, 4), rtol=0, atol=1e-4)
     torch.stack([one.clamp(-1e3, 1e3).square().mean() for one in numbers]).sum().backward()  # type: ignore[no-untyped-call]

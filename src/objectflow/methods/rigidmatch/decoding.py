@@ -12,8 +12,7 @@ from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.rigidmatch.inputs import clean_points, grid
-from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
-from objectflow.networks.rigidmatch.refinement import mix_neighbors
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, pixel_masks
 from objectflow.typing import Float32Array, LabelImage
 
 OBJECT_MASK_THRESHOLD = 0.1
@@ -84,7 +83,8 @@ def decode(
     kept = torch.nonzero(sure > threshold)[:, 0]
     if not len(kept):
         return np.zeros(size, np.int32), ()
-    claim = mix_neighbors(output.masks[-1][:, kept], output.upsampling)[0, :, : size[0], : size[1]].sigmoid()
+    logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
+    claim = logits[0, :, : size[0], : size[1]].sigmoid()
     won, counts, left = resolve_overlaps(claim.flatten(1), sure[kept], min_pixels)
     if not len(left):
         return np.zeros(size, np.int32), ()

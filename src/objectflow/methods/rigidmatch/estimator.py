@@ -15,6 +15,7 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import nearest_indices
+from objectflow.geometry.torch_pinhole import depth_factor
 from objectflow.methods.find_weights import find_weights
 from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.methods.mask_edges import snap_to_edges
@@ -97,9 +98,14 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         """The network's output on pairs of frames of one size, and the current points (B, 3, H, W) in metres."""
         device = next(self.network.parameters()).device
         with torch.inference_mode():
-            curr_color, curr_points = to_tensors(curr, device)
-            out: RigidMatchOutput = self.network(*to_tensors(prev, device), curr_color, curr_points, table=False)
-        return out, curr_points
+            (prev_color, prev_points), (curr_color, curr_points) = to_tensors(prev, device), to_tensors(curr, device)
+            # The network is trained at one median depth; lengths are scaled back.
+            factor = depth_factor(curr_points, self.network.settings.median_depth)
+            wide = factor[:, None, None, None]
+            out: RigidMatchOutput = self.network(
+                prev_color, wide * prev_points, curr_color, wide * curr_points, table=False
+            )
+        return out.rescaled(1 / factor), curr_points
 
     def _finish(self, pair: FramePair, output: RigidMatchOutput, seen: Tensor, size: tuple[int, int]) -> SceneMotion:
         """One pair's output as objects on the pixels of its current frame."""

@@ -1,4 +1,4 @@
-"""Attention on tokens: within a frame, across two, and of queries to tokens (Vaswani et al. 2017; pre-norm)."""
+"""Attention layers (Vaswani et al. 2017, pre-norm): within a frame, between frames, and from queries to tokens."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from torch import Tensor, nn
 from objectflow.networks.rigidmatch.inputs import as_map
 
 _WAVES = 6
-"""Octaves of each coordinate."""
+"""Number of octaves per coordinate."""
 _LONGEST = 4.0
-"""Metres: the longest wave; the shortest is a 32nd, 12.5 cm, below which means of neighbours do the rest."""
+"""Longest wavelength in metres; the shortest is a 32nd of it, 12.5 cm."""
 
 
 class Positions(nn.Module):
-    """Embedding of 3D points and image positions: waves of each coordinate, then one linear layer."""
+    """Embedding of 3D points and image positions: sinusoids of each coordinate, then a linear layer."""
 
     def __init__(self, coordinates: int, channels: int) -> None:
         super().__init__()
         self.project = nn.Linear(coordinates * (2 * _WAVES + 1), channels)
 
     def forward(self, values: Tensor) -> Tensor:
-        """(..., coordinates) in metres or shares of the image -> (..., channels)."""
+        """(..., coordinates) in metres or image heights -> (..., channels)."""
         waves = 2 * math.pi / _LONGEST * 2.0 ** torch.arange(_WAVES, device=values.device, dtype=values.dtype)
         phase = (values[..., None] * waves).flatten(-2)
         out: Tensor = self.project(torch.cat([values, phase.sin(), phase.cos()], dim=-1))
@@ -41,7 +41,7 @@ class Attention(nn.Module):
         self.query, self.key, self.value, self.out = (nn.Linear(channels, channels) for _ in range(4))
 
     def forward(self, x: Tensor, position: Tensor, keys: Tensor, values: Tensor, bias: Tensor | None = None) -> Tensor:
-        """(B, N, C) x with its position attends to (B, M, C); `bias` (B, 1, N, M) is added to the logits."""
+        """Attend from (B, N, C) to (B, M, C); `bias` (B, 1, N, M) is added to the logits."""
         parts = (self.query(self.norm(x) + position), self.key(keys), self.value(values))
         query, key, value = (one.reshape(*one.shape[:2], self.heads, -1).transpose(1, 2) for one in parts)
         found = F.scaled_dot_product_attention(query, key, value, attn_mask=None if bias is None else bias.to(query))
@@ -50,7 +50,7 @@ class Attention(nn.Module):
 
 
 class FeedForward(nn.Module):
-    """x + two linear layers of norm(x), twice as wide in between."""
+    """x + MLP(norm(x)) with one hidden layer of twice the width."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class FeedForward(nn.Module):
 
 
 class FrameAttention(nn.Module):
-    """Layers in turn within a frame and across the two (as LoFTR, Sun et al. 2021)."""
+    """Alternating self-attention and cross-attention layers (LoFTR, Sun et al. 2021)."""
 
     def __init__(self, channels: int, heads: int, layers: int, key_pool: int) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class FrameAttention(nn.Module):
         self.norms = nn.ModuleList(nn.LayerNorm(channels) for _ in range(layers))
 
     def forward(self, tokens: Tensor, position: Tensor, size: tuple[int, int]) -> Tensor:
-        """(2 B, N, C), first all current frames, then all previous ones, with positions; `size` is (h, w)."""
+        """(2 B, N, C) tokens, current frames first, with their position embeddings; `size` is (h, w)."""
         for index, (attention, feed, norm) in enumerate(zip(self.attentions, self.feeds, self.norms, strict=True)):
             values = norm(tokens)
             keys = values + position

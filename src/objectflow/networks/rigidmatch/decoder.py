@@ -1,4 +1,4 @@
-"""Objects as a set: queries that start at seeds, look at tokens in turn, and say their masks (Cheng et al. 2022)."""
+"""Objects as a set: queries start at seeds, attend to tokens and predict masks (Cheng et al. 2022)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from objectflow.networks.rigidmatch.seeds import choose_seeds
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 
 _RADIUS = 0.04
-"""Metres in trajectory space: how far an object's votes lie from its centre, at first."""
+"""Initial radius in metres of an object's votes around its centre in trajectory space."""
 _FARTHEST = 6.0
-"""Radii beyond which a vote is no farther: single wrong votes must not decide against all looks."""
+"""Distance in radii at which votes are truncated, so that single wrong votes cannot outweigh the embeddings."""
 
 
 class Objects(NamedTuple):
@@ -28,82 +28,87 @@ class Objects(NamedTuple):
         anchors: (B, Q, 6) metres: [X, X + T].
         objectness: (L, B, Q) logits.
         masks: (L, B, Q, H, W) logits.
+        detail_queries: (B, Q, D), for `pixel_masks`.
     """
 
     queries: Tensor
     anchors: Tensor
     objectness: Tensor
     masks: Tensor
+    detail_queries: Tensor
 
 
 class SetDecoder(nn.Module):
-    """Seeds, layers of attention to tokens inside the mask so far, and the masks that follow."""
+    """Seeds, then layers of attention to the tokens inside each query's current mask."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
         self.settings = settings
         channels, fine = settings.channels, settings.fine_channels
-        self.queries_mode = settings.objects == "queries"
-        layers = settings.decoder_layers if self.queries_mode else 0
+        layers = settings.decoder_layers
         self.seed_feature = nn.Conv2d(fine, channels, 1)
         if layers:
-            self.place = Positions(6, channels)
-            self.token_place = Positions(6, channels)
+            self.position = Positions(6, channels)
+            self.token_position = Positions(6, channels)
             self.token_norm = nn.LayerNorm(channels)
         self.across = nn.ModuleList(Attention(channels, settings.heads) for _ in range(layers))
         self.among = nn.ModuleList(Attention(channels, settings.heads) for _ in range(layers))
         self.feeds = nn.ModuleList(FeedForward(channels) for _ in range(layers))
         self.norm = nn.LayerNorm(channels)
         self.objectness = nn.Linear(channels, 1)
-        # How much votes count, how far they may lie, and what is needed to belong.
+        # Weight of the votes, their radius, and the bias of the mask.
         self.shape = nn.Linear(channels, 3)
-        if self.queries_mode:
-            self.look = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), nn.Linear(channels, fine))
-            self.pixel_look = nn.Conv2d(fine, fine, 1)
+        self.mask_embedding = nn.Sequential(nn.Linear(channels, channels), nn.GELU(), nn.Linear(channels, fine))
+        self.pixel_embedding = nn.Conv2d(fine, fine, 1)
+        self.detail_embedding = nn.Linear(channels, settings.detail_channels) if settings.detail_channels else None
 
-    def forward(self, scene: DensePredictions) -> Objects:
-        """Find the objects of a scene."""
-        size = scene.votes.shape[-2:]
-        with torch.autocast(scene.votes.device.type, enabled=False):
-            votes = scene.votes.float().flatten(2).transpose(-2, -1)
-            coarse_votes = scene.votes[..., ::2, ::2].float()
-            sure = (scene.seed.sigmoid() * scene.foreground.sigmoid())[:, 0, ::2, ::2].float()
+    def forward(self, dense: DensePredictions) -> Objects:
+        """Find the objects of a dense."""
+        size = dense.votes.shape[-2:]
+        with torch.autocast(dense.votes.device.type, enabled=False):
+            votes = dense.votes.float().flatten(2).transpose(-2, -1)
+            coarse_votes = dense.votes[..., ::2, ::2].float()
+            confidence = (dense.seed.sigmoid() * dense.foreground.sigmoid())[:, 0, ::2, ::2].float()
             coarse_flat = coarse_votes.flatten(2).transpose(-2, -1)
             index = choose_seeds(
-                coarse_flat.detach(), sure.flatten(1), self.settings.queries, self.settings.seed_radius
+                coarse_flat.detach(), confidence.flatten(1), self.settings.queries, self.settings.seed_radius
             )
         anchors = _at(coarse_flat, index)
-        queries = _at(self.seed_feature(scene.pixels)[..., ::2, ::2].flatten(2).transpose(-2, -1), index)
-        looks = self.pixel_look(scene.pixels).flatten(2) if self.queries_mode else None
+        queries = _at(self.seed_feature(dense.pixels)[..., ::2, ::2].flatten(2).transpose(-2, -1), index)
+        embeddings = self.pixel_embedding(dense.pixels).flatten(2)
         if len(self.across):
-            tokens = self.token_norm(scene.tokens.flatten(2).transpose(-2, -1))
-            # Where a token's object lies, and where it was.
-            keys = tokens + self.token_place(coarse_flat.detach())
+            tokens = self.token_norm(dense.tokens.flatten(2).transpose(-2, -1))
+            # A token's position: its vote for the object's centre in both frames.
+            keys = tokens + self.token_position(coarse_flat.detach())
         objectness, masks = [], []
         for index_layer in range(len(self.across) + 1):
             normed = self.norm(queries)
             objectness.append(self.objectness(normed)[..., 0].float())
-            mask = self._mask(normed, anchors, votes, looks).reshape(*queries.shape[:2], *size)
+            mask = self._mask(normed, anchors, votes, embeddings).reshape(*queries.shape[:2], *size)
             masks.append(mask)
             if index_layer == len(self.across):
                 break
-            # Outside of its mask so far a query sees little (Cheng et al. 2022, masked attention, made soft).
+            # Masked attention (Cheng et al. 2022), made soft: little weight outside of the current mask.
             coarse_mask = mask[..., ::2, ::2].flatten(2).detach()
             bias = F.logsigmoid(coarse_mask).clamp_min(-8.0)[:, None]
-            place = self.place(anchors.detach())
-            queries = self.across[index_layer](queries, place, keys, tokens, bias)
+            position = self.position(anchors.detach())
+            queries = self.across[index_layer](queries, position, keys, tokens, bias)
             values = self.norm(queries)
-            queries = self.among[index_layer](queries, place, values + place, values)
+            queries = self.among[index_layer](queries, position, values + position, values)
             queries = self.feeds[index_layer](queries)
-            # One step of mean shift: the mask's mean vote is steadier than the seed's.
+            # One step of mean shift: the mean vote of the mask is more stable than the seed's.
             anchors = _mean_votes(coarse_mask.sigmoid(), coarse_flat, anchors)
-        return Objects(self.norm(queries), anchors, torch.stack(objectness), torch.stack(masks))
+        if self.detail_embedding is None:
+            details = normed.new_zeros(*queries.shape[:2], 0).float()
+        else:
+            details = self.detail_embedding(normed).float()
+        return Objects(normed, anchors, torch.stack(objectness), torch.stack(masks), details)
 
-    def _mask(self, queries: Tensor, anchors: Tensor, votes: Tensor, looks: Tensor | None) -> Tensor:
-        """(B, Q, N) logits: nearness of votes in trajectory space, and likeness of looks."""
+    def _mask(self, queries: Tensor, anchors: Tensor, votes: Tensor, embeddings: Tensor) -> Tensor:
+        """(B, Q, N) logits: distance of votes in trajectory space, and similarity of embeddings."""
         with torch.autocast(queries.device.type, enabled=False):
             strength, radius, bias = self.shape(queries.float()).unbind(-1)
-            # In float64: a seed is at a distance of 0 from itself, and the root of what rounding left would be 1 mm.
+            # Float64, since the root of the rounding error at distance 0 would be 1 mm.
             far, near = votes.double(), anchors.double()
             square = (
                 far.square().sum(-1)[:, None] + near.square().sum(-1)[..., None] - 2 * near @ far.transpose(-2, -1)
@@ -112,10 +117,8 @@ class SetDecoder(nn.Module):
             out: Tensor = (
                 3 * strength.clamp(-2, 2).exp()[..., None] * (1 - distance.clamp(max=_FARTHEST)) + bias[..., None]
             )
-        if looks is None:
-            return out
-        like: Tensor = self.look(queries) @ looks / math.sqrt(looks.shape[1])
-        return out + like.float()
+        similarity: Tensor = self.mask_embedding(queries) @ embeddings / math.sqrt(embeddings.shape[1])
+        return out + similarity.float()
 
 
 def _at(values: Tensor, index: Tensor) -> Tensor:
@@ -124,7 +127,7 @@ def _at(values: Tensor, index: Tensor) -> Tensor:
 
 
 def _mean_votes(weights: Tensor, votes: Tensor, anchors: Tensor) -> Tensor:
-    """(B, Q, 6): means of votes (B, N, 6) under weights (B, Q, N), the anchor before counting as one vote."""
-    # Metres have too few digits in bfloat16.
+    """(B, Q, 6) means of votes (B, N, 6) under weights (B, Q, N); the previous anchor counts as one vote."""
+    # bfloat16 is too coarse for metres.
     with torch.autocast(votes.device.type, enabled=False):
         return (weights.float() @ votes + anchors) / (weights.float().sum(-1, keepdim=True) + 1)

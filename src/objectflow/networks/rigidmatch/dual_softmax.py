@@ -1,4 +1,4 @@
-"""Dual softmax of all pairs' logits and the expectation under it, in few passes over the N x N table."""
+"""Dual softmax over an N x M table of logits and expectations under it, in few passes over the table."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 _LEVEL = 30.0
-"""Logits up to about 60 are made smaller by so much: their exponentials and sums stay within float32."""
+"""Offset subtracted from logits, which are at most about 90, so that exponentials and sums stay within float32."""
 _LEAST = 1e-30
 _ROWS = 128
-"""Rows that are worked on at a time where no table is wanted: few enough to stay in a processor's cache."""
+"""Rows per block when no table is wanted: few enough to stay in the processor's cache."""
 
 
-def dual_softmax_mean(scores: Tensor, hidden: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums of values under `softmax over rows, with 'hidden' as one more entry, times softmax over columns`.
+def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Sums of values under the softmax over rows, with the dustbin as one more entry, times that of columns.
 
     Args:
         scores: (B, N, M) logits, at most 100.
-        hidden: (B, N) logits of "none of them".
+        dustbin: (B, N) logits of "no match".
         values: (B, M, C).
 
     Returns:
-        (B, N, C) sums, not divided by the weights' own sum; (B, N) and (B, M): logarithms of the sums of exponentials
-        over rows (with hidden) and over columns.
+        (B, N, C) sums, not divided by the sum of the weights; (B, N) and (B, M) logarithms of the sums of exponentials
+        over rows, with the dustbin, and over columns.
     """
     if torch.is_grad_enabled() and (scores.requires_grad or values.requires_grad):
-        sums, rows, columns = _DualSoftmaxMean.apply(scores, hidden, values)  # type: ignore[no-untyped-call]
+        sums, rows, columns = _DualSoftmaxMean.apply(scores, dustbin, values)  # type: ignore[no-untyped-call]
         return sums, rows, columns
-    raised, row, column = _raise(scores, hidden)
-    # The columns' sums divide the few values, not the table, which is passed over as seldom as possible.
+    raised, row, column = _raise(scores, dustbin)
+    # Dividing the few values by the columns' sums saves a pass over the table.
     by_row = (raised / row[:, :, None]).mul_(raised)
     return by_row @ (values / column[:, :, None]), row.log() + _LEVEL, column.log() + _LEVEL
 
 
 def dual_softmax_mean_of_product(
-    left: Tensor, right: Tensor, hidden: Tensor, values: Tensor
+    left: Tensor, right: Tensor, dustbin: Tensor, values: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The same for `scores = left @ right.mT`, a few rows at a time, without a gradient: half the time and memory.
+    """The same for `scores = left @ right.mT`, block by block and without gradient: half the time and memory.
 
     Args:
         left: (B, N, K).
         right: (B, M, K).
-        hidden, values: as in `dual_softmax_mean`.
+        dustbin, values: as in `dual_softmax_mean`.
     """
     across = right.transpose(-2, -1).contiguous()
     raised = left.new_empty(len(left), left.shape[1], right.shape[1])
@@ -54,7 +54,7 @@ def dual_softmax_mean_of_product(
         part.copy_((few @ across).sub_(_LEVEL).exp_())
         column += part.sum(1)
         sums.append(part.sum(2))
-    row = (torch.cat(sums, dim=1) + torch.exp(hidden - _LEVEL)).clamp_min(_LEAST)
+    row = (torch.cat(sums, dim=1) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
     column = column.clamp_min(_LEAST)
     shares = values / column[:, :, None]
     means = [
@@ -64,28 +64,28 @@ def dual_softmax_mean_of_product(
     return torch.cat(means, dim=1), row.log() + _LEVEL, column.log() + _LEVEL
 
 
-def _raise(scores: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Exponentials, and their sums over rows (with hidden) and over columns, all over exp(_LEVEL)."""
+def _raise(scores: Tensor, dustbin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Exponentials, and their sums over rows (with dustbin) and over columns, all over exp(_LEVEL)."""
     raised = torch.sub(scores, _LEVEL).exp_()
-    row = (raised.sum(2) + torch.exp(hidden - _LEVEL)).clamp_min(_LEAST)
+    row = (raised.sum(2) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
     return raised, row, raised.sum(1).clamp_min(_LEAST)
 
 
 class _DualSoftmaxMean(torch.autograd.Function):
-    """The same with a backward pass that works in place: autograd's own takes three times as many passes."""
+    """The same with an in-place backward pass: autograd needs three times as many passes over the table."""
 
     @staticmethod
-    def forward(ctx: Any, scores: Tensor, hidden: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        raised, row, column = _raise(scores, hidden)
+    def forward(ctx: Any, scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        raised, row, column = _raise(scores, dustbin)
         weights = (raised / row[:, :, None]).mul_(raised / column[:, None])
         rows, columns = row.log() + _LEVEL, column.log() + _LEVEL
-        ctx.save_for_backward(weights, rows, columns, raised, hidden, values)
+        ctx.save_for_backward(weights, rows, columns, raised, dustbin, values)
         return weights @ values, rows, columns
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, to_sums: Tensor, to_rows: Tensor, to_columns: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        weights, rows, columns, raised, hidden, values = ctx.saved_tensors
+        weights, rows, columns, raised, dustbin, values = ctx.saved_tensors
         # d weights = weights (2 d scores - d rows - d columns)
         out = to_sums @ values.transpose(-2, -1)
         out *= weights
@@ -96,4 +96,4 @@ class _DualSoftmaxMean(torch.autograd.Function):
         column = torch.where(columns > _LEVEL - 60, by_column * torch.exp(_LEVEL - columns), 0.0)
         out.addcmul_(raised, row[:, :, None])
         out.addcmul_(raised, column[:, None])
-        return out, by_row * torch.exp(hidden - rows), weights.transpose(-2, -1) @ to_sums
+        return out, by_row * torch.exp(dustbin - rows), weights.transpose(-2, -1) @ to_sums

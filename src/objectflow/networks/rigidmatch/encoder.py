@@ -1,4 +1,4 @@
-"""The trunk, shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
+"""Image encoder shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class Block(nn.Module):
             self.shortcut = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
 
     def forward(self, x: Tensor) -> Tensor:
-        """The block."""
+        """Apply the block."""
         out = torch.relu(self.norm1(self.conv1(x)))
         return torch.relu(self.norm2(self.conv2(out)) + self.shortcut(x))
 
 
 def stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
-    """Blocks in a row, the first with the stride."""
+    """A sequence of blocks; the first has the stride."""
     return nn.Sequential(Block(inputs, outputs, stride), *(Block(outputs, outputs) for _ in range(blocks - 1)))
 
 
 class Encoder(nn.Module):
-    """(B, 8, H, W) from `describe` -> features of the fine and the coarse grid."""
+    """(B, 8, H, W) from `encode_inputs` -> features of the stem, the fine and the coarse grid."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -48,10 +48,11 @@ class Encoder(nn.Module):
         self.context = stage(coarse, 2 * coarse, settings.blocks[2], 2)
         self.lateral = nn.Conv2d(2 * coarse, coarse, 1)
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, fine_channels, H / fine stride, W / fine stride) and (B, channels, H / stride, W / stride)."""
-        fine = self.fine(self.stem(image))
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(B, stem_width, H / 2, W / 2), and (B, C, H / s, W / s) of the fine and the coarse stride s."""
+        stem = self.stem(image)
+        fine = self.fine(stem)
         coarse = self.coarse(fine)
-        # What lies around, from twice as far away (Lin et al. 2017).
+        # Context from a grid half as fine (Lin et al. 2017).
         around = F.interpolate(self.lateral(self.context(coarse)), scale_factor=2.0, mode="nearest")
-        return fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]
+        return stem, fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]

@@ -1,4 +1,4 @@
-"""What the encoder is shown of a frame: colour, inverse depth, validity, normals; and the grids' points."""
+"""Input channels of the encoder (colour, inverse depth, validity, normals) and the points of the grids."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from objectflow.networks.sceneflownet.network import fill_holes
 
 CHANNELS = 8
 _NEAR = 0.1
-"""Metres: inverse depth grows no further below."""
+"""Depth in metres below which inverse depth is clamped."""
 
 
 class Grid(NamedTuple):
@@ -28,12 +28,12 @@ class Grid(NamedTuple):
 
 
 def encode_inputs(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Eight channels of a frame, and its points.
+    """Make the encoder's eight channels of a frame, and its points.
 
     Args:
         color: (B, 3, H, W) RGB in 0..1.
         points: (B, 3, H, W) metres, NaN where depth is missing.
-        multiple: images are padded with zeros, at the right and the bottom, to multiples of it.
+        multiple: images are padded with zeros at the right and the bottom to multiples of this.
 
     Returns:
         (B, 8, H', W') for the encoder; (B, 3, H', W') points with 0 where depth is missing; (B, 1, H', W') validity.
@@ -70,7 +70,7 @@ def normals(points: Tensor, valid: Tensor) -> Tensor:
 
 
 def grid(points: Tensor, valid: Tensor, stride: int) -> Grid:
-    """Every `stride`-th pixel's point: single points, since means over a cell would lie between surfaces."""
+    """The point of every `stride`-th pixel: means over cells would lie between surfaces."""
     own, there = points[..., ::stride, ::stride], valid[..., ::stride, ::stride]
     return Grid(fill_holes(own, there), there)
 

@@ -1,14 +1,16 @@
-"""The network: encode, attend, match, refine, vote, find objects, solve their motions."""
+"""The network: encode, attend, match, refine, predict votes, find objects, solve for their motions."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
-from objectflow.geometry.torch_se3 import so3_exp
+from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch.attention import FrameAttention, Positions
 from objectflow.networks.rigidmatch.decoder import Objects, SetDecoder
 from objectflow.networks.rigidmatch.dense_head import DenseHead, DensePredictions
@@ -19,22 +21,24 @@ from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import FineMatch, Refinement
 from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
+from objectflow.networks.rigidmatch.xfeat import CHANNELS as XFEAT_CHANNELS
+from objectflow.networks.rigidmatch.xfeat import XFeat, sample_cells
 
 PRIOR = 1.0
-"""Matches that the votes' own motion counts for in the solve."""
+"""Number of matches that the votes' motion is worth in the solve."""
 _AGREE = 0.02
-"""Metres: a match so far from its object's motion weighs half."""
+"""Distance in metres from its object's motion at which a match weighs half."""
 _STEP = 2
-"""The context grid's cells in the coarse grid's."""
+"""Coarse cells per side of a context cell."""
 
 
 class Features(NamedTuple):
-    """What is known before motions are solved.
+    """Everything that is predicted before motions are solved.
 
     Attributes:
         coarse_points, points: of the current frame's grids.
         matched, refined: the matches of both.
-        scene: what they mean.
+        dense: dense predictions.
         objects: Q queries.
         moves: (B, Q) logits.
     """
@@ -43,18 +47,17 @@ class Features(NamedTuple):
     points: Grid
     matched: CoarseMatch
     refined: FineMatch
-    scene: DensePredictions
+    dense: DensePredictions
     objects: Objects
     moves: Tensor
 
     def weights(self) -> Tensor:
-        """(B, Q, H, W): of each fine cell's match in each object's solve: mask times trust, 0 without depth."""
-        trust = self.scene.reliability.sigmoid() * self.points.valid
-        return self.objects.masks[-1].sigmoid() * trust
+        """(B, Q, H, W) weights of matches in each object's solve: mask times match confidence, 0 without depth."""
+        return self.objects.masks[-1].sigmoid() * self.dense.match_confidence.sigmoid() * self.points.valid
 
 
 class RigidMatch(nn.Module):
-    """Two RGB-D frames -> objects, each with its mask and its rigid motion, by matching everything with everything."""
+    """Two RGB-D frames -> objects, each with its mask and its rigid motion, by global matching."""
 
     def __init__(
         self, settings: RigidMatchSettings | None = None, *, generator: torch.Generator | None = None
@@ -68,19 +71,30 @@ class RigidMatch(nn.Module):
         super().__init__()
         self.settings = settings = settings or RigidMatchSettings()
         self.encoder = Encoder(settings)
-        self.place = Positions(5, settings.channels) if settings.attention_layers else None
+        self.position = Positions(5, settings.channels) if settings.attention_layers else None
         self.attention = FrameAttention(
             settings.channels, settings.heads, settings.attention_layers, settings.key_pool
         )
         self.matching = GlobalMatching(settings)
         self.refinement = Refinement(settings)
-        self.scene = DenseHead(settings)
+        self.dense_head = DenseHead(settings)
         self.decoder = SetDecoder(settings)
         self.moves = nn.Linear(settings.channels + 1, 1)
-        if settings.motion == "regress":
-            width = settings.channels
-            self.regress = nn.Sequential(nn.Linear(width, width), nn.GELU(), nn.Linear(width, 6))
+        if settings.xfeat in ("input", "both"):
+            self.xfeat_input = nn.Conv2d(XFEAT_CHANNELS, settings.channels, 1)
         _initialise(self, generator)
+        if settings.xfeat != "none":
+            self.xfeat = XFeat(generator)
+
+    def load_backbone(self, path: Path) -> None:
+        """Take the frozen XFeat filters from a file of `scripts/convert_xfeat.py`.
+
+        Raises:
+            MethodError: a network without XFeat, or a file that does not fit.
+        """
+        if self.settings.xfeat == "none":
+            raise MethodError(f"{path}: this rigidmatch has no XFeat backbone: set xfeat or leave the file out")
+        self.xfeat.load(path)
 
     def forward(
         self,
@@ -96,37 +110,39 @@ class RigidMatch(nn.Module):
         Args:
             prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
-            table: give the table of all pairs' scores, which losses need; without it there is no gradient.
+            table: return the table of all pairs' scores, which losses need; without it there is no gradient.
 
         Returns:
-            Everything, on the grids of images padded to a multiple of the coarsest stride.
+            All predictions, on the grids of images padded to a multiple of the coarsest stride.
         """
-        found = self.look(prev_color, prev_points, curr_color, curr_points, table=table)
+        found = self.forward_features(prev_color, prev_points, curr_color, curr_points, table=table)
         # 6. The motions that fit the matches.
         rotation, translation = self._motions(found)
         return RigidMatchOutput(
             scores=found.matched.scores,
-            hidden=found.matched.hidden,
+            dustbin=found.matched.dustbin,
             rows=found.matched.rows,
             columns=found.matched.columns,
             coarse_match=found.coarse_points.points + found.matched.shift[:, 2:],
             match=found.refined.match,
             window_logits=found.refined.logits,
             window_center=found.refined.center,
-            reliability=found.scene.reliability,
-            foreground=found.scene.foreground,
-            seed=found.scene.seed,
-            votes=found.scene.votes,
+            match_confidence=found.dense.match_confidence,
+            foreground=found.dense.foreground,
+            seed=found.dense.seed,
+            votes=found.dense.votes,
             anchors=found.objects.anchors,
             objectness=found.objects.objectness,
             masks=found.objects.masks,
             moves=found.moves,
             rotation=rotation,
             translation=translation,
-            upsampling=found.scene.upsampling,
+            upsampling=found.dense.upsampling,
+            detail_queries=found.objects.detail_queries,
+            details=found.dense.details,
         )
 
-    def look(
+    def forward_features(
         self,
         prev_color: Tensor,
         prev_points: Tensor,
@@ -137,40 +153,46 @@ class RigidMatch(nn.Module):
     ) -> Features:
         """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
-        # 1. Both frames through one encoder.
+        # 1. Both frames through one encoder, and through XFeat.
         described = [
             encode_inputs(*one, _STEP * stride) for one in ((curr_color, curr_points), (prev_color, prev_points))
         ]
         image, points, valid = (torch.cat(parts) for parts in zip(*described, strict=True))
-        fine, coarse = self.encoder(image)
+        stem, fine, coarse = self.encoder(image)
+        size = (coarse.shape[-2], coarse.shape[-1])
         coarse_grid, fine_grid = grid(points, valid, stride), grid(points, valid, stride // 2)
         curr, prev = _halves(coarse_grid)
         curr_fine, prev_fine = _halves(fine_grid)
-        # 2. Every cell learns of its own frame and of the other.
-        size = (coarse.shape[-2], coarse.shape[-1])
+        use, descriptors, fine_descriptors = self.settings.xfeat, None, None
+        if use != "none":
+            image_size = (curr_color.shape[-2], curr_color.shape[-1])
+            features = self.xfeat(torch.cat([curr_color, prev_color]))
+            fine_descriptors = sample_cells(features, image_size, stride // 2, (2 * size[0], 2 * size[1]))
+            if use in ("input", "both"):
+                coarse = coarse + self.xfeat_input(fine_descriptors[..., ::2, ::2])
+            if use in ("score", "both"):
+                unit = F.normalize(fine_descriptors[..., ::2, ::2], dim=1)
+                descriptors = unit.flatten(2).transpose(-2, -1)
+        # 2. Attention within the frame and to the other frame.
         tokens = coarse.flatten(2).transpose(-2, -1)
-        if self.place is not None:
-            tokens = self.attention(tokens, self.place(_where(coarse_grid)), size)
-        # 3. Everything is matched with everything; then each match in a small window.
-        matched = self.matching(tokens, curr, prev, table=table)
+        if self.position is not None:
+            tokens = self.attention(tokens, self.position(_position_inputs(coarse_grid)), size)
+        # 3. Global matching, then each match in a small window.
+        matched = self.matching(tokens, curr, prev, descriptors, table=table)
         maps = as_map(tokens, size)
-        refined = self.refinement(fine, maps, matched, curr_fine, prev_fine)
-        # 4. What that means, cell by cell.
-        scene = self.scene(fine.chunk(2)[0], maps.chunk(2)[0], matched, refined, (curr, curr_fine))
+        refined = self.refinement(fine, maps, matched, curr_fine, prev_fine, fine_descriptors)
+        # 4. Dense predictions.
+        current = [one.chunk(2)[0] for one in (stem, fine, maps)]
+        dense = self.dense_head(*current, matched, refined, (curr, curr_fine))
         # 5. Objects.
-        objects = self.decoder(scene)
+        objects = self.decoder(dense)
         shift = (objects.anchors[..., 3:] - objects.anchors[..., :3]).norm(dim=-1, keepdim=True)
         moves = self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float()
-        return Features(curr, curr_fine, matched, refined, scene, objects, moves)
+        return Features(curr, curr_fine, matched, refined, dense, objects, moves)
 
     def _motions(self, found: Features) -> tuple[Tensor, Tensor]:
         """(B, Q, 3, 3) rotations and (B, Q, 3) translations."""
         anchors = found.objects.anchors
-        if self.settings.motion == "regress":
-            X, Y = anchors[..., :3], anchors[..., 3:]
-            change = self.regress(found.objects.queries).float()
-            R = so3_exp(change[..., :3])
-            return R, Y + 0.1 * change[..., 3:] - (R @ X[..., None])[..., 0]
         with torch.autocast(anchors.device.type, enabled=False):
             weights = found.weights().flatten(2)
             p, q = found.points.points.flatten(2).transpose(-2, -1), found.refined.match.flatten(2).transpose(-2, -1)
@@ -181,11 +203,11 @@ class RigidMatch(nn.Module):
         return R, t
 
 
-def _where(points: Grid) -> Tensor:
-    """(2 B, N, 5): each cell's point, and its place in an image that is a metre high."""
+def _position_inputs(points: Grid) -> Tensor:
+    """(2 B, N, 5): each cell's point, and its position in an image that is a metre high."""
     height, width = points.points.shape[-2:]
-    place = cells(height, width, points.points.device) / height
-    both = torch.cat([points.points, place.expand(len(points.points), -1, -1, -1)], dim=1)
+    position = cells(height, width, points.points.device) / height
+    both = torch.cat([points.points, position.expand(len(points.points), -1, -1, -1)], dim=1)
     return both.flatten(2).transpose(-2, -1)
 
 
@@ -211,13 +233,14 @@ def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
         _quiet(network)
 
 
+_ZERO = ("decoder.shape", "decoder.detail_embedding", "matching.prior")
+
+
 def _quiet(network: nn.Module) -> None:
-    """Layers that start at, or near, saying nothing."""
+    """Scale down layers whose output should start at, or near, zero."""
     for name, module in network.named_modules():
         last = name.rsplit(".", 1)[-1]
-        if isinstance(module, nn.Linear) and (last == "out" or name in ("decoder.shape", "matching.prior")):
+        if isinstance(module, nn.Linear) and (last == "out" or name in _ZERO):
             module.weight.zero_()
-        elif name in ("scene.heads", "scene.guide", "refinement.guide.2"):
+        elif name in ("dense_head.heads", "dense_head.guide", "dense_head.details.guide", "refinement.guide.2"):
             module.weight.mul_(0.1)
-        elif name == "regress.2":
-            module.weight.zero_()

@@ -1,8 +1,9 @@
-"""From the coarse to the fine grid: learnt upsampling, and updates of each match in a small window."""
+"""Refinement of matches: learnt upsampling to the fine grid, then updates within a small window."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -12,20 +13,26 @@ from torch import Tensor, nn
 from objectflow.networks.rigidmatch.inputs import Grid, as_map, cells
 from objectflow.networks.rigidmatch.matching import CoarseMatch
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
+from objectflow.networks.rigidmatch.upsampling import mix_neighbors
+from objectflow.networks.rigidmatch.window_geometry import WindowGeometry
+from objectflow.networks.rigidmatch.xfeat import CHANNELS as XFEAT_CHANNELS
 
 _FIRST_SCALE, _LARGEST_SCALE = 8.0, 60.0
 _BARRED = -1e4
 
 
+Scorer = Callable[[Tensor, Tensor], Tensor]
+
+
 class FineMatch(NamedTuple):
-    """What is known of the fine grid's matches.
+    """The fine grid's matches.
 
     Attributes:
         match: (B, 3, H, W) metres, in the previous frame.
-        confidence: (B, 1, H, W) 0..1, the coarse grid's.
-        logits: (B, (2 r + 1)^2, H, W) over the last window; no channels without updates.
-        center: (B, 2, H, W) int64: column and row of its middle.
-        peak: (B, 1, H, W) 0..1: the window's largest probability; 1 without updates.
+        confidence: (B, 1, H, W) 0..1, upsampled from the coarse grid.
+        logits: (B, (2 r + 1)^2, H, W) over the last window, r its radius; no channels without updates.
+        center: (B, 2, H, W) int64: column and row of the window's middle.
+        peak: (B, 1, H, W) 0..1: largest probability within the window; 1 without updates.
     """
 
     match: Tensor
@@ -35,32 +42,8 @@ class FineMatch(NamedTuple):
     peak: Tensor
 
 
-def mix_neighbors(values: Tensor, weights: Tensor) -> Tensor:
-    """Each fine value as a weighted mean of 3x3 coarse ones (convex upsampling, Teed and Deng 2020).
-
-    Args:
-        values: (B, C, h, w).
-        weights: (B, 9, S, h, w), which sum to 1 over the second axis, for S = f^2 sub-cells, row first.
-
-    Returns:
-        (B, C, f h, f w).
-    """
-    batch, channels, height, width = values.shape
-    factor = math.isqrt(weights.shape[2])
-    # Not by F.pad, whose gradient torch.compile cannot follow where channels are innermost.
-    wide = torch.cat([values[..., :1], values, values[..., -1:]], dim=-1)
-    padded = torch.cat([wide[..., :1, :], wide, wide[..., -1:, :]], dim=-2)
-    out = torch.zeros((), device=values.device, dtype=values.dtype)
-    for k in range(9):
-        row, column = divmod(k, 3)
-        neighbor = padded[..., row : row + height, column : column + width]
-        out = out + neighbor[:, :, None] * weights[:, k][:, None]
-    out = out.reshape(batch, channels, factor, factor, height, width)
-    return out.permute(0, 1, 4, 2, 5, 3).reshape(batch, channels, factor * height, factor * width)
-
-
 class Refinement(nn.Module):
-    """Coarse matches to the fine grid, then `updates` expectations over a window of the previous fine features."""
+    """Upsamples coarse matches, then updates them by expectations over a window of the previous frame's cells."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -70,18 +53,29 @@ class Refinement(nn.Module):
             nn.Conv2d(fine + coarse, coarse, 1), nn.ReLU(inplace=True), nn.Conv2d(coarse, 36, 1)
         )
         if settings.updates:
-            self.own = nn.Conv2d(fine, fine // 2, 1)
+            self.project = nn.Conv2d(fine, fine // 2, 1)
             self.from_tokens = nn.Conv2d(coarse, fine // 2, 1)
+            self.from_xfeat = nn.Conv2d(XFEAT_CHANNELS, fine // 2, 1) if settings.xfeat != "none" else None
             self.log_scale = nn.Parameter(torch.tensor(math.log(_FIRST_SCALE)))
+            self.geometry = WindowGeometry(fine) if settings.window_geometry else None
 
-    def forward(self, fine: Tensor, tokens: Tensor, coarse: CoarseMatch, curr: Grid, prev: Grid) -> FineMatch:
-        """Refine.
+    def forward(
+        self,
+        fine: Tensor,
+        tokens: Tensor,
+        coarse: CoarseMatch,
+        curr: Grid,
+        prev: Grid,
+        descriptors: Tensor | None = None,
+    ) -> FineMatch:
+        """Refine matches.
 
         Args:
             fine: (2 B, C, H, W) features of the fine grid, current frames first.
-            tokens: (2 B, C', h, w) of the coarse one, after attention.
-            coarse: its matches.
+            tokens: (2 B, C', h, w) of the coarse grid, after attention.
+            coarse: the coarse grid's matches.
             curr, prev: the fine grid's points.
+            descriptors: (2 B, 64, H, W) of XFeat; None for networks without.
         """
         here = fine.chunk(2)[0]
         coarse_here = tokens.chunk(2)[0]
@@ -91,52 +85,63 @@ class Refinement(nn.Module):
             upsampled = mix_neighbors(torch.cat([coarse.shift, coarse.confidence], dim=1), weights)
             shift, confidence = upsampled[:, :5], upsampled[:, 5:]
             match = curr.points + shift[:, 2:]
-            place = cells(shift.shape[-2], shift.shape[-1], fine.device) + 2 * shift[:, :2]
+            position = cells(shift.shape[-2], shift.shape[-1], fine.device) + 2 * shift[:, :2]
         if not self.settings.updates:
             nothing = match[:, :0]
-            center = place.detach().round().long()
+            center = position.detach().round().long()
             return FineMatch(match, confidence, nothing, center, torch.ones_like(confidence))
-        looks = self.own(fine) + F.interpolate(self.from_tokens(tokens), scale_factor=2.0, mode="nearest")
+        features = self.project(fine) + F.interpolate(self.from_tokens(tokens), scale_factor=2.0, mode="nearest")
+        if self.from_xfeat is not None:
+            features = features + self.from_xfeat(descriptors)
+        context = None if self.geometry is None else self.geometry.context(here).float()
         with torch.autocast(fine.device.type, enabled=False):
-            one, other = F.normalize(looks.float(), dim=1).chunk(2)
+            one, other = F.normalize(features.float(), dim=1).chunk(2)
             scale = self.log_scale.clamp(max=math.log(_LARGEST_SCALE)).exp()
             for update in range(self.settings.updates):
                 last = update == self.settings.updates - 1
-                # Updates before the last only say where to look: nothing is learnt from them.
+                # Updates before the last only move the window: they have no gradient.
                 with torch.set_grad_enabled(last and torch.is_grad_enabled()):
-                    logits, center, place, match, peak = _update(
-                        scale * one, other, prev, place.detach(), self.settings.window
+                    logits, center, position, match, peak = _update(
+                        scale * one, other, prev, position.detach(), self.settings.window, self._scorer(context, match)
                     )
         return FineMatch(match, confidence, logits, center, peak)
 
+    def _scorer(self, context: Tensor | None, match: Tensor) -> Scorer | None:
+        geometry = self.geometry
+        if geometry is None or context is None:
+            return None
+        given, reference = context, match.detach()
+        return lambda logits, points: geometry(given, logits, points, reference)
+
 
 def _update(
-    one: Tensor, other: Tensor, prev: Grid, place: Tensor, window: int
+    one: Tensor, other: Tensor, prev: Grid, position: Tensor, window: int, scorer: Scorer | None = None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Logits, middle, expected place and point over a window around each place; and the largest probability."""
-    batch, _, height, width = one.shape
+    """Logits, middle, expected position and point over a window around each position; and the largest probability.
+
+    `scorer` gives logits to add, from the correlation (B, N, S) and the points (B, N, S, 3) of the window's cells.
+    """
+    batch, channels, height, width = one.shape
     side = 2 * window + 1
-    limit = torch.tensor([width - 1, height - 1], device=one.device, dtype=place.dtype).reshape(1, 2, 1, 1)
-    center = torch.minimum(place.round().clamp_min(0), limit).long()
+    limit = torch.tensor([width - 1, height - 1], device=one.device, dtype=position.dtype).reshape(1, 2, 1, 1)
+    center = torch.minimum(position.round().clamp_min(0), limit).long()
     offset = torch.arange(-window, window + 1, device=one.device)
-    column = (center[:, 0, None] + offset.repeat(side)[:, None, None]).flatten(2)
-    row = (center[:, 1, None] + offset.repeat_interleave(side)[:, None, None]).flatten(2)
+    column = center[:, 0].flatten(1)[..., None] + offset.repeat(side)
+    row = center[:, 1].flatten(1)[..., None] + offset.repeat_interleave(side)
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     index = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
     start = torch.arange(batch, device=one.device)[:, None, None] * (height * width)
     flat = (index + start).flatten()
-    # One row a cell, gathered whole: point, validity, and the feature.
-    table = (
-        torch.cat([prev.points, prev.valid, other], dim=1)
-        .flatten(2)
-        .transpose(-2, -1)
-        .reshape(batch * height * width, -1)
-    )
-    found = table.index_select(0, flat).reshape(batch, side * side, height * width, -1)
-    logits = (found[..., 4:] * one.flatten(2).transpose(-2, -1)[:, None]).sum(-1)
-    logits = torch.where(inside & (found[..., 3] > 0.5), logits, _BARRED)
-    share = logits.softmax(dim=1)
-    point = as_map((share[..., None] * found[..., :3]).sum(1), (height, width))
-    moved = torch.stack([(share * column).sum(1), (share * row).sum(1)], dim=1).reshape(batch, 2, height, width)
-    peak = share.amax(dim=1, keepdim=True).reshape(batch, 1, height, width)
-    return logits.reshape(batch, -1, height, width), center, moved, point, peak
+    # One row per cell, gathered whole: point, validity, and the feature.
+    table = torch.cat([prev.points, prev.valid, other], dim=1).flatten(2).transpose(-2, -1).flatten(0, 1)
+    found = table.index_select(0, flat).reshape(batch, height * width, side * side, -1)
+    points, valid, features = torch.split(found, [3, 1, channels], dim=-1)
+    logits = (features @ one.flatten(2).transpose(-2, -1)[..., None])[..., 0]
+    if scorer is not None:
+        logits = logits + scorer(logits, points)
+    logits = torch.where(inside & (valid[..., 0] > 0.5), logits, _BARRED)
+    share = logits.softmax(dim=-1)
+    point = as_map((share[..., None, :] @ points)[..., 0, :], (height, width))
+    moved = torch.stack([(share * column).sum(-1), (share * row).sum(-1)], dim=1).reshape(batch, 2, height, width)
+    peak = share.amax(dim=-1).reshape(batch, 1, height, width)
+    return as_map(logits, (height, width)), center, moved, point, peak

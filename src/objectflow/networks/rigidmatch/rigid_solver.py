@@ -1,4 +1,4 @@
-"""Motion by solving: weighted least squares over each object's matches (Kabsch 1976, Umeyama 1991)."""
+"""Rigid motions by weighted least squares over each object's matches (Kabsch 1976, Umeyama 1991)."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from objectflow.geometry.torch_se3 import nearest_rotation
 def solve_motions(
     weights: Tensor, curr: Tensor, prev: Tensor, votes: Tensor, *, prior: float = 0.0, arm: float = 0.02
 ) -> tuple[Tensor, Tensor]:
-    """The rigid motion of every object that maps its points to their matches best.
+    """Fit each object's rigid motion to its points and their matches.
 
-    Sums over points are matrix products of the weights with first and second moments, in float64: no tensor has
-    objects, points and coordinates at once.
+    Sums over points are matrix products of the weights with first and second moments in float64, so that no tensor
+    has objects, points and coordinates at once.
 
     Args:
         weights: (B, Q, N), not negative.
         curr, prev: (B, N, 3) metres, finite.
-        votes: (B, Q, 6) metres, [X, X + T]: what is believed where no match says anything.
-        prior: how many matches that belief counts for; 0 is plain least squares.
-        arm: metres: the belief's "no turn" is worth points so far from the centre.
+        votes: (B, Q, 6) metres, [X, X + T]: the motion where there are no matches.
+        prior: number of matches that the votes are worth; 0 is plain least squares.
+        arm: distance in metres from the centre of the points that hold the prior's rotation, the identity.
 
     Returns:
         rotation (B, Q, 3, 3) and translation (B, Q, 3): P_prev = rotation P_curr + translation. Without weights and
