@@ -24,9 +24,7 @@ DEFAULTS = PostprocessSettings()
 DEPTH_STEP = MergeSettings().max_depth_step
 
 
-def cut(
-    scene: analytic.AnalyticPair, number: int, share: float = 0.4
-) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
+def cut(scene: analytic.AnalyticPair, number: int, share: float = 0.4) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """The left part of an object becomes a separate object, with a motion that is off by a millimetre."""
     mask = scene.labels == number
     columns = np.nonzero(mask.any(axis=0))[0]

@@ -134,9 +134,7 @@ def test_the_evidence_is_the_mean_difference_of_the_costs() -> None:
         (-2.0, 0.1, 0.0, 0.7, True),  # the same, with a confident network
     ],
 )
-def test_gain_decides_first(
-    gain: float, static_inliers: float, violations: float, score: float, moved: bool
-) -> None:
+def test_gain_decides_first(gain: float, static_inliers: float, violations: float, score: float, moved: bool) -> None:
     evidence = MotionEvidence(gain=gain, static_inliers=static_inliers, violations=violations)
     assert evidence.moved(score, StaticTestSettings()) is moved
 
