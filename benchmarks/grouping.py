@@ -1,7 +1,7 @@
-"""Milliseconds to group 320x240 maps with 30 objects, one core and CUDA: `python benchmarks/grouping.py`.
+"""Milliseconds to group 320x240 maps with 30 objects, on one core and on CUDA: `python benchmarks/grouping.py`.
 
-Each object's pixels predict its trajectory with noise; some pixels predict nonsense, as a network does at edges. The
-same maps go through +Rig's averages, and the last column compares with the rule written as a loop over all pixels.
+The pixels of each object predict its trajectory with noise; some pixels predict random values, as those at edges do.
+The averages of +Rig are timed on the same maps, and the last column compares with a loop over all pixels.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ class Settings:
     foreground: float = 0.7
     """Share of the image that the objects cover."""
     noise: float = 0.004
-    """Metres, standard deviation of each number of the trajectory feature."""
-    nonsense: tuple[float, ...] = (0.0, 0.002, 0.02)
-    """Shares of the foreground that predict anything at all: one row each."""
+    """Metres: standard deviation of each component of the trajectory feature."""
+    outliers: tuple[float, ...] = (0.0, 0.002, 0.02)
+    """Shares of the foreground that predict random values, one row each."""
     repeats: int = 15
-    """Runs; the median counts."""
+    """Number of runs, of which the median is reported."""
     threads: int = 1
-    """Of torch on the CPU."""
+    """Threads of torch on the CPU."""
     seed: int = 0
-    """Of the maps."""
+    """Seed of the maps."""
 
 
-def make_maps(settings: Settings, nonsense: float, generator: torch.Generator) -> dict[str, Tensor]:
+def make_maps(settings: Settings, outliers: float, generator: torch.Generator) -> dict[str, Tensor]:
     width, height = settings.width, settings.width * 3 // 4
     pixels = width * height
-    band = torch.arange(pixels) % height  # objects as stripes: their shape does not matter here
+    band = torch.arange(pixels) % height  # Objects are stripes, since their shape does not affect the time.
     owner = (
         (band * settings.objects // max(1, round(height * settings.foreground))).reshape(width, height).T.contiguous()
     )
@@ -63,7 +63,7 @@ def make_maps(settings: Settings, nonsense: float, generator: torch.Generator) -
     center = noisy(torch.rand(settings.objects, 3, generator=generator), settings.noise)
     translation = noisy(0.2 * torch.rand(settings.objects, 3, generator=generator), settings.noise)
     rotation = noisy(torch.rand(settings.objects, 3, generator=generator), 0.02)
-    wrong = torch.rand(owner.shape, generator=generator) < nonsense
+    wrong = torch.rand(owner.shape, generator=generator) < outliers
     center = torch.where(wrong, torch.rand(center.shape, generator=generator), center)
     return {
         "center": center,
@@ -75,8 +75,8 @@ def make_maps(settings: Settings, nonsense: float, generator: torch.Generator) -
     }
 
 
-def obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor) -> Tensor:
-    """The rule as it is written: every sphere looks at every pixel; strays stay as they are."""
+def group_by_loop(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor) -> Tensor:
+    """The rule by a plain loop: every sphere visits every pixel; small groups stay separate."""
     left, labels, label = foreground.clone(), torch.zeros(foreground.shape, dtype=torch.int32), 0
     while bool(left.any()):
         seed = int(torch.where(left, centrality, -torch.inf).argmax())
@@ -98,12 +98,12 @@ def main(settings: Settings) -> None:
     table = Table(
         title=f"{settings.objects} objects, {settings.width}x{settings.width * 3 // 4}, {platform.machine()}"
     )
-    for column in ("device", "nonsense", "found", "group ms", "with rotation ms", "averages ms", "loop / group"):
+    for column in ("device", "outliers", "found", "group ms", "with rotation ms", "averages ms", "loop / group"):
         table.add_column(column, justify="right")
     for device in ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",):
-        for nonsense in settings.nonsense:
+        for outliers in settings.outliers:
             generator = torch.Generator().manual_seed(settings.seed)
-            maps = {name: x.to(device) for name, x in make_maps(settings, nonsense, generator).items()}
+            maps = {name: x.to(device) for name, x in make_maps(settings, outliers, generator).items()}
             rest = maps["foreground"], maps["centrality"], maps["radius"]
             times, labels = [], torch.empty(0)
             for weight in (0.0, 0.05):
@@ -123,9 +123,9 @@ def main(settings: Settings) -> None:
             )
             ratio = "-"
             if device == "cpu":
-                ratio = f"{milliseconds(functools.partial(obvious, feature, *rest), 1, device) / times[0]:.1f}"
+                ratio = f"{milliseconds(functools.partial(group_by_loop, feature, *rest), 1, device) / times[0]:.1f}"
             figures = [f"{value:.1f}" for value in (*times, average)]
-            table.add_row(device, f"{nonsense:.1%}", str(int(labels.max())), *figures, ratio)
+            table.add_row(device, f"{outliers:.1%}", str(int(labels.max())), *figures, ratio)
     Console().print(table)
 
 

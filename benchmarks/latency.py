@@ -1,11 +1,11 @@
-"""Seconds a pair and peak memory of each method, beside `dense-flow` in the same run: `python benchmarks/latency.py`.
+"""Seconds per pair and peak memory of each method, relative to `dense-flow`: `python benchmarks/latency.py`.
 
-The pairs are the tests' analytic scenes, 1-6 moving objects each, at each size. Every method runs in a process of its
-own, so that its peak memory is its own.
+The pairs are the analytic scenes of the tests with 1-6 moving objects, at each size. Every method runs in a separate
+process, so that its peak memory can be measured.
 
-Networks are timed at the paper's 240x320 in a table of their own, part by part. Where no weights are released they are
-random, at the paper's width: the time does not depend on the values, but for what is grouped. So the grouping and the
-rest get maps that say the truth with some noise, whatever the network says.
+Networks are timed at the paper's 240x320 in a separate table, part by part. Where no weights are released they are
+random, at the paper's width. The time of the network does not depend on its weights, but that of the grouping does, so
+the grouping and all later parts are given true maps with noise.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ class Settings:
     networks: tuple[str, ...] = ("sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl")
     """Learned methods by name."""
     rigidmatch: tuple[str, ...] = ("full", "cpu")
-    """Sizes of `rigidmatch` with random weights; none for none."""
+    """Sizes of `rigidmatch` with random weights; may be empty."""
     device: str = "cpu"
-    """Of the networks."""
+    """Device of the networks."""
     threads: int = 2
-    """Of torch on the CPU, for the networks."""
+    """Threads of torch on the CPU."""
     noise: float = 0.004
-    """Metres, of each number of the maps that are grouped."""
+    """Metres: standard deviation of each component of the maps that are grouped."""
 
 
 def measure(method: str, width: int, pairs: int, repeats: int) -> tuple[float, ...]:
@@ -96,7 +96,8 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
     import analytic
     import objectflow
     from objectflow import geometry
-    from objectflow.alignment import frame_pair, refine_objects
+    from objectflow.alignment.frame_pair import FramePair
+    from objectflow.alignment.refine_objects import refine_objects
     from objectflow.errors import MethodError
     from objectflow.methods import find_weights
     from objectflow.methods.labels import rigid_flow
@@ -106,7 +107,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
     from true_maps import Truth
 
     class ThenTruth(torch.nn.Module):
-        """Works as the network does, and then says something else."""
+        """Takes the network's time, and returns other maps."""
 
         def __init__(self, network: torch.nn.Module, maps: SceneFlowNetOutput) -> None:
             super().__init__()
@@ -136,7 +137,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         scene = analytic.make_scene(1000 + seed, width=320, height=240)
         prev, curr = scene.prev, scene.curr
         object.__setattr__(estimator, "network", Truth(scene, scene.labels))
-        true = estimator.predict(prev, curr)
+        true = estimator.predict([prev], [curr])
         noisy = {
             field: getattr(true, field) + settings.noise * torch.randn(true.center.shape, generator=generator)
             for field in ("center", "translation", "rotation")
@@ -145,7 +146,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         object.__setattr__(estimator, "network", network)
         points = geometry.back_project(curr.depth, curr.camera)
         parts = [
-            fastest(lambda: [one.cpu() for one in estimator.predict(prev, curr)], settings.repeats),  # noqa: B023
+            fastest(lambda: [one.cpu() for one in estimator.predict([prev], [curr])], settings.repeats),  # noqa: B023
             fastest(lambda: decoding.label_pixels(maps), settings.repeats),  # noqa: B023
         ]
         labels = decoding.label_pixels(maps)
@@ -160,7 +161,7 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
         parts.append(fastest(lambda: estimator(prev, curr), settings.repeats, time.process_time))  # noqa: B023
         parts.append(
             fastest(
-                lambda: refine_objects.refine_objects(frame_pair.FramePair(prev, curr), labels, objects),  # noqa: B023
+                lambda: refine_objects(FramePair(prev, curr), labels, objects),  # noqa: B023
                 settings.repeats,
             )
         )
@@ -171,12 +172,12 @@ def measure_network(name: str, settings: Settings) -> NetworkTimes:
 
 
 def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float, float, float]:
-    """Parameters; medians over the scenes of network, whole and CPU seconds; peak MiB."""
+    """Number of parameters; medians over the scenes of network, total and CPU seconds; peak MiB."""
     import torch
 
     import analytic
     import objectflow
-    from objectflow.methods.network_io import resize_to
+    from objectflow.methods.network_io import scaled_size
     from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
     from objectflow.networks.weights import save_weights
 
@@ -185,14 +186,15 @@ def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "random.safetensors"
         save_weights(path, network, {"size": [240, 320] if size == "full" else [120, 160]})
-        # Whatever the network says counts as an object, or nothing would be left to do behind it.
+        # Every query counts as an object, so that the steps after the network have work.
         estimator: Any = objectflow.load(
             "rigidmatch", camera="static", weights=path, device=settings.device, threshold=0.0
         )
     rows = []
     for seed in range(settings.pairs):
         scene = analytic.make_scene(1000 + seed, width=320, height=240)
-        small = [resize_to(frame, estimator.size) for frame in (scene.prev, scene.curr)]
+        height, width = scaled_size(scene.curr, estimator.size)
+        small = [[frame.resized(width, height)] for frame in (scene.prev, scene.curr)]
         predict, whole = partial(estimator.predict, *small), partial(estimator, scene.prev, scene.curr)
         rows.append(
             (
@@ -208,7 +210,7 @@ def measure_rigidmatch(size: str, settings: Settings) -> tuple[int, float, float
 
 
 def time_rigidmatch(settings: Settings) -> None:
-    table = Table(title=f"rigidmatch, {settings.device}, {settings.threads} threads; seconds a pair of 320x240")
+    table = Table(title=f"rigidmatch, {settings.device}, {settings.threads} threads; seconds per pair of 320x240")
     for column in ("size", "M parameters", "network", "whole", "whole, CPU", "peak MiB"):
         table.add_column(column, justify="left" if column == "size" else "right")
     for size in settings.rigidmatch:
@@ -228,13 +230,13 @@ def fastest(work: Callable[[], object], repeats: int, clock: Callable[[], float]
 
 
 def alone(work: Callable[..., T], *arguments: object) -> T:
-    """What the work returns in a process of its own."""
+    """The result of the work in a separate process."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(work, *arguments).result()
 
 
 def time_networks(settings: Settings) -> None:
-    table = Table(title=f"networks at 320x240, {settings.device}, {settings.threads} threads; seconds a pair")
+    table = Table(title=f"networks at 320x240, {settings.device}, {settings.threads} threads; seconds per pair")
     columns = (
         "method",
         "weights",

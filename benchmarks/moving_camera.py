@@ -8,6 +8,7 @@ flow on moving objects.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any, cast
 
 import numpy as np
 import tyro
@@ -19,7 +20,9 @@ import analytic
 import objectflow
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.methods.base import PairEstimator
 from objectflow.methods.moving_camera import MovingCamera, find_camera_motion
+from objectflow.methods.registry import find_class
 from objectflow.typing import Float32Array, Float64Array
 
 
@@ -45,13 +48,13 @@ def main(settings: Settings) -> None:
     for column in ("method", "static camera", "moving", "moving, compensated", "times static"):
         table.add_column(column, justify="left" if column == "method" else "right")
     for name in settings.methods:
-        method = objectflow.load(name, camera="static")
+        method = load_static(name)
         errors = [
             np.mean([error(estimator(pair.prev, pair.curr).scene_flow, pair) for pair in pairs])
             for estimator, pairs in (
                 (method, static),
                 (method, moved),
-                (MovingCamera(method, camera="moving"), moved),
+                (MovingCamera(estimator=method, camera="moving"), moved),
             )
         ]
         table.add_row(name, *(f"{100 * value:.2f}" for value in errors), f"{errors[2] / errors[0]:.2f}")
@@ -59,6 +62,12 @@ def main(settings: Settings) -> None:
     console.print(table)
     shift, angle = zip(*(camera_error(pair, motion) for pair, motion in zip(moved, motions, strict=True)), strict=True)
     console.print(f"camera motion: median error {1000 * np.median(shift):.2f} mm, {np.median(angle):.3f} deg")
+
+
+def load_static(name: str) -> PairEstimator:
+    """A method for a static camera; some have no option for it."""
+    has_camera = any(field.name == "camera" for field in dataclasses.fields(cast(Any, find_class(name))))
+    return objectflow.load(name, **({"camera": "static"} if has_camera else {}))
 
 
 def draw_motion(seed: int) -> Float64Array:

@@ -79,7 +79,7 @@ def test_no_objects_depth_cost_grows() -> None:
     for metres, degrees in ((0.0, 1e-9), (0.03, 30), (0.3, 90)):
         start = disturbed_objects(scene, metres, degrees, rng)
         for old, new in zip(start, refine_objects(pair, scene.labels, start), strict=True):
-            source = registration.make_source(scene.curr, scene.labels == old.id, limit=2000)
+            source = registration.RegistrationSources(scene.curr).take(scene.labels == old.id, limit=2000)
             costs = [
                 depth_cost(registration.evaluate_registration(target, source, obj.prev_T_curr), target, source)
                 for obj in (old, new)
@@ -97,7 +97,7 @@ def lured() -> tuple[registration.RegistrationTarget, registration.RegistrationS
     frame = analytic.make_scene(1, width=width, height=height).prev
     mask = np.zeros((height, width), bool)
     mask[40:80, 60:100] = True
-    source = registration.make_source(dataclasses.replace(frame, depth=curr_depth), mask)
+    source = registration.RegistrationSources(dataclasses.replace(frame, depth=curr_depth)).take(mask)
     return registration.RegistrationTarget(dataclasses.replace(frame, depth=prev_depth)), source
 
 
@@ -139,7 +139,7 @@ def test_depth_cost_is_the_truncated_mean_square() -> None:
         target = registration.RegistrationTarget(dataclasses.replace(frame, depth=moved), noise)
         limit = (3 * sigma) ** 2
         for mask, expected in ((left, 0.002**2), (right, limit), (left | right, (0.002**2 + limit) / 2)):
-            source = registration.make_source(frame, mask)
+            source = registration.RegistrationSources(frame).take(mask)
             found = registration.evaluate_registration(target, source, np.eye(4))
             assert depth_cost(found, target, source) == pytest.approx(expected, rel=1e-3)
 
@@ -151,7 +151,7 @@ def test_objects_without_pixels_or_points_keep_their_motion() -> None:
     obj = dataclasses.replace(true_objects(scene, all_moving=True)[0], id=40)
     (kept,) = refine_objects(pair, scene.labels, (obj,))
     np.testing.assert_array_equal(kept.prev_T_curr, obj.prev_T_curr)
-    nothing = registration.make_source(scene.curr, np.zeros((60, 80), bool))
+    nothing = registration.RegistrationSources(scene.curr).take(np.zeros((60, 80), bool))
     np.testing.assert_array_equal(
         refine_one(registration.RegistrationTarget(scene.prev), nothing, [np.eye(4)]), np.eye(4)
     )

@@ -54,7 +54,9 @@ def test_registration_corrects_a_rough_initial_motion(seed: int) -> None:
         offset = geometry.se3_exp([*rng.normal(0, 0.004, 3), *rng.normal(0, 0.02, 3)])
         about_center = geometry.make_transform(np.eye(3), geometry.transform(true, center))
         start = about_center @ offset @ geometry.inverse(about_center) @ true
-        refined = registration.refine(target, registration.make_source(scene.curr, scene.labels == label), start)
+        refined = registration.refine(
+            target, registration.RegistrationSources(scene.curr).take(scene.labels == label), start
+        )
         for errors, found in ((before, start), (after, refined.prev_T_curr)):
             errors.append(np.linalg.norm(geometry.transform(found, center) - geometry.transform(true, center)))
         assert refined.fitness > 0.8
@@ -66,7 +68,7 @@ def test_registration_corrects_a_rough_initial_motion(seed: int) -> None:
 def test_registration_without_points_returns_the_initial_motion() -> None:
     scene = analytic.make_scene(3)
     start = geometry.se3_exp([0.01, 0, 0, 0, 0, 0])
-    nothing = registration.make_source(scene.curr, np.zeros(scene.labels.shape, bool))
+    nothing = registration.RegistrationSources(scene.curr).take(np.zeros(scene.labels.shape, bool))
     refined = registration.refine(registration.RegistrationTarget(scene.prev), nothing, start)
     np.testing.assert_array_equal(refined.prev_T_curr, start)
     assert refined.fitness == 0
@@ -77,7 +79,7 @@ def test_the_number_of_iterations_is_a_setting() -> None:
     scene = analytic.make_scene(1, objects=(1, 1))
     target = registration.RegistrationTarget(scene.prev)
     (label,) = scene.moving
-    source = registration.make_source(scene.curr, scene.labels == label)
+    source = registration.RegistrationSources(scene.curr).take(scene.labels == label)
     start = geometry.make_transform(np.eye(3), [0.006, -0.004, 0.005]) @ scene.prev_T_curr[label]
     center = geometry.transform(scene.prev_T_curr[label], scene.centers[label])
     errors = []

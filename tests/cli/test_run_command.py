@@ -74,19 +74,19 @@ def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("method", "options", "words"),
     [
-        (["--method", "dense-flow"], "method = zero, now it is dense-flow"),
-        (["--method", "zero", "--every", "2"], "every = 1, now it is 2"),
-        (["--method", "zero", "--depth-scale", "500"], "depth_scale"),
-        (["--method", "zero", "--camera", "static"], "camera = auto"),
+        ("zero", ["--method", "dense-flow"], "method = zero, now it is dense-flow"),
+        ("zero", ["--method", "zero", "--every", "2"], "every = 1, now it is 2"),
+        ("zero", ["--method", "zero", "--depth-scale", "500"], "depth_scale"),
+        ("vo-sf", ["--method", "vo-sf", "--camera", "static"], "camera = auto"),
     ],
 )
 def test_other_settings_are_refused(
-    sequence: Path, tmp_path: Path, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
+    sequence: Path, tmp_path: Path, method: str, options: list[str], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
+    assert main(["run", str(sequence), "--method", method, "--out", str(out)]) == 0
     before = sorted(out.rglob("*"))
     capsys.readouterr()
     assert main(["run", str(sequence), "--out", str(out), *options]) == 2

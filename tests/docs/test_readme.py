@@ -34,13 +34,13 @@ def test_the_check_script_runs_the_two_set_up_commands() -> None:
 
 
 def test_the_python_block_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The block runs as printed, except for `zero` instead of the slower method, on the demo pair."""
+    """The block runs as printed, except for `vo-sf` instead of the slower method, on the demo pair."""
     frames = open_pair(Path(objectflow.__file__).parent / "demo" / "pair")
     for index, frame in enumerate(frames.paths):
         (tmp_path / f"color{index}.png").write_bytes(frame.color.read_bytes())
         (tmp_path / f"depth{index}.png").write_bytes(frame.depth.read_bytes())
     monkeypatch.chdir(tmp_path)
-    code = blocks("python")[0].replace('"rigidmatch"', '"zero"')
+    code = blocks("python")[0].replace('"rigidmatch"', '"vo-sf"')
     names = {"color1": frames[1].color, "depth1": frames[1].depth}
     exec(compile(code, "README.md", "exec"), names)
     motion = names["motion"]

@@ -22,7 +22,7 @@ def true_object(
     in_both: bool = True,
     rotation_known: bool = True,
 ) -> TrueObject:
-    """An object without symmetry that stands still, unless said otherwise."""
+    """A static object without symmetry, unless specified otherwise."""
     return TrueObject(
         label=label,
         center=np.asarray(center, np.float64),

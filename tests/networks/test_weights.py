@@ -78,10 +78,10 @@ def test_a_weight_beyond_float16_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"correlation": False}, "correlation is True there, but False is asked for"),
-        ({"reach": 2}, "reach is 1 there, but 2 is asked for"),
-        ({"trunk_norm": "frozen"}, "trunk_norm is batch there, but frozen is asked for"),
-        ({"fine": ((8, 8), (8, 8), (8,))}, "fine is .* asked for"),
+        ({"correlation": False}, "correlation is True, but False is required"),
+        ({"reach": 2}, "reach is 1, but 2 is required"),
+        ({"trunk_norm": "frozen"}, "trunk_norm is batch, but frozen is required"),
+        ({"fine": ((8, 8), (8, 8), (8,))}, "fine is .* is required"),
     ],
 )
 def test_another_configuration_names_the_field(saved: Path, changes: dict[str, Any], message: str) -> None:
@@ -143,7 +143,7 @@ def with_nan(path: Path) -> None:
         (rewrite_header(lambda h: h.update(version=9)), "weights of format 9, this objectflow reads 1"),
         (rewrite_header(lambda h: h.pop("network")), "damaged: its header cannot be read"),
         (rewrite_header(lambda h: h["network"].update(deep=1)), "unknown network setting 'deep'"),
-        (rewrite_header(lambda h: h["network"].update(color_channels=8)), "project.bias is .*, its header says"),
+        (rewrite_header(lambda h: h["network"].update(color_channels=8)), "project.bias is .*, its header declares"),
         (rewrite_header(lambda h: h["network"].update(trunk_blocks=[1, 2])), "layer2.1.bn1.bias is missing"),
         (rewrite_header(lambda h: h["network"].update(correlation=False)), "color_encoder.* has no place"),
         (with_nan, "heads.maps.mask.bias holds numbers that are not finite"),
@@ -193,5 +193,5 @@ def test_fields_that_no_tensor_depends_on_may_be_overridden(tmp_path: Path) -> N
     assert isinstance(loaded, RigidMatch)
     assert loaded.settings == loaded.decoder.settings == wanted
     other = dataclasses.replace(TINY_RIGID, window_geometry=False)
-    with pytest.raises(MethodError, match="another configuration: window_geometry is True there"):
+    with pytest.raises(MethodError, match="another configuration: window_geometry is True, but False is required"):
         load_network(path, settings=other)

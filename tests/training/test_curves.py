@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from objectflow.training.curves import HEIGHT, WIDTH, Series, draw_curves, panel, write_curve
+from objectflow.training.curves import PANEL_HEIGHT, PANEL_WIDTH, Series, draw_curves, panel, write_curve
 from objectflow.typing import IndexArray, UInt8Array
 
 BLUE, RED = (31, 90, 180), (200, 50, 40)
@@ -39,7 +39,7 @@ def test_a_straight_line_lies_where_its_numbers_say() -> None:
     # The slope is constant, and the axis ends at 1.08 of the largest value.
     np.testing.assert_allclose(np.diff(ends), np.diff(ends)[0], atol=1.0)
     slope = -np.diff(ends)[0] / 150
-    plot_height, plot_width = HEIGHT - 66 - 74, WIDTH - 92 - 48
+    plot_height, plot_width = PANEL_HEIGHT - 66 - 74, PANEL_WIDTH - 92 - 48
     np.testing.assert_allclose(slope, plot_height / 1.08 / plot_width, rtol=0.02)
 
 
@@ -53,21 +53,21 @@ def test_an_exponential_is_straight_on_a_logarithmic_axis() -> None:
 
 def test_training_falls_and_validation_lies_above() -> None:
     image = draw_curves(run_lines(), "tiny")
-    assert image.shape == (HEIGHT, 3 * WIDTH, 3)
+    assert image.shape == (PANEL_HEIGHT, 3 * PANEL_WIDTH, 3)
     blue, red = rows_of(image, BLUE, 600), rows_of(image, RED, 600)
     assert red.max() < blue.min()
     # In the second panel, the validation line falls below the constant line of zero flow.
-    early, late = (rows_of(image, RED, WIDTH + column).mean() for column in (300, 700))
+    early, late = (rows_of(image, RED, PANEL_WIDTH + column).mean() for column in (300, 700))
     assert early < late - 50
     # The third panel shows one line: null values of the metrics are left out.
-    assert not (image[64:, 2 * WIDTH :] == BLUE).all(axis=-1).any()
+    assert not (image[64:, 2 * PANEL_WIDTH :] == BLUE).all(axis=-1).any()
 
 
 def test_nothing_measured_yet_is_no_error(tmp_path: Path) -> None:
     write_curve(tmp_path / "curve.png", [])
     drawn = cv2.imread(str(tmp_path / "curve.png"))
     assert drawn is not None
-    assert drawn.shape == (HEIGHT, 3 * WIDTH, 3)
+    assert drawn.shape == (PANEL_HEIGHT, 3 * PANEL_WIDTH, 3)
     one = [{"kind": "train", "step": 1, "losses": {"total": 3.0}}]
     write_curve(tmp_path / "curve.png", one)
     again = cv2.imread(str(tmp_path / "curve.png"))

@@ -110,11 +110,6 @@ class RegistrationSources:
         return RegistrationSource(self.points[rows, columns], tuple(image[rows, columns] for image in self.grays))
 
 
-def make_source(curr: RgbdFrame | PreparedFrame, mask: BoolMask, *, limit: int = 4000) -> RegistrationSource:
-    """The points of one object; for several, `RegistrationSources` shares the work."""
-    return RegistrationSources(curr).take(mask, limit=limit)
-
-
 def _with_gradient(image: Float32Array) -> Float32Array:
     """(H, W) -> (H, W, 3): the image and its gradient along u and v."""
     gradient = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))

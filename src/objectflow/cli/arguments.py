@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
 import tyro
 
 from objectflow.errors import ReaderError
 from objectflow.methods.base import Estimator
-from objectflow.methods.registry import DEFAULT_METHOD, load
+from objectflow.methods.registry import DEFAULT_METHOD, find_class, load
 from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
 from objectflow.settings import flat, parse_assignments, read_toml
 from objectflow.view.viewer import Viewer, open_viewer
@@ -77,7 +78,9 @@ class MethodArguments(CameraArguments):
         options: dict[str, Any] = {} if self.config is None else flat(read_toml(self.config))
         options |= parse_assignments(self.set)
         given = {"weights": self.weights, "rigid": self.rigid, "device": self.device}
-        if self.camera != "auto":
+        # Methods whose result does not depend on the camera motion have no such setting.
+        fields = dataclasses.fields(cast(Any, find_class(self.method)))
+        if self.camera != "auto" and any(field.name == "camera" for field in fields):
             given["camera"] = self.camera
         return options | {name: value for name, value in given.items() if value is not None}
 

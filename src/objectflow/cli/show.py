@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import option
@@ -15,6 +14,7 @@ from objectflow.dataset.shards import open_pairs, open_sequences
 from objectflow.dataset.show import draw_frames, draw_pair
 from objectflow.errors import DatasetError
 from objectflow.storage import files
+from objectflow.storage.images import encode_png
 
 EXAMPLES = """\
   objectflow show data --key train-000012
@@ -54,8 +54,5 @@ class Show:
         if image is None:
             raise DatasetError(f"{self.data}: no row {self.key!r}; there is {known[0]} to {known[-1]}")
         out = self.out or Path(f"{self.key}.png")
-        done, png = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-        if not done:
-            raise DatasetError(f"{out}: the image cannot be encoded")
-        files.write_bytes(out, png.tobytes())
+        files.write_bytes(out, encode_png(image))
         print(f"written to {out}")

@@ -24,7 +24,7 @@ EXAMPLES = """\
   objectflow train --recipe gpu --data data --variant s --passes 12 --batch-size 64
   objectflow train --recipe gpu --data data --model.network.reach 8 --model.loss.squared --augment.zoom 1.5
   objectflow train --recipe gpu --data data --extra-data clutter --variant rigidmatch --out runs/rigidmatch
-  objectflow train --variant rigidmatch --help       # the options of that network
+  objectflow train --recipe cpu --data data --variant rigidmatch --model.network.queries 64 --model.loss.match 1
   torchrun --nproc-per-node 4 -m objectflow train --recipe gpu --data data --out runs/c-vl
 """
 
@@ -35,7 +35,8 @@ class Train:
 
     Writes settings.json, metrics.jsonl, loss_curve.png, checkpoints and weights.safetensors (the best by validation).
     Ctrl-C or SIGTERM finish the step and save a checkpoint; the same command with --resume continues the run exactly.
-    Every field of the recipe is an option; the defaults shown are those of the chosen --recipe and --variant.
+    Every field of the recipe is an option; the options and defaults shown are those of the chosen --recipe and
+    --variant: `objectflow train --variant rigidmatch --help` lists those of rigidmatch.
     """
 
     data: Annotated[Path, option("DIR")]

@@ -9,11 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from objectflow.errors import ReaderError, ResultError
-from objectflow.storage.images import read_image
+from objectflow.storage.images import encode_png, read_image
 from objectflow.typing import Float32Array, LabelImage
 
 # Errors that the parsers of JSON and .npy raise for broken files: unbounded numbers, unclosed brackets, headers that
@@ -40,10 +39,7 @@ def write(folder: Path, labels: LabelImage, flow: Float32Array, summary: Mapping
     """
     if labels.max(initial=0) > np.iinfo(np.uint16).max:
         raise ResultError(f"{folder}: labels above 65535 do not fit a 16-bit PNG")
-    done, png = cv2.imencode(".png", labels.astype(np.uint16))
-    if not done:
-        raise ResultError(f"{folder}: labels cannot be encoded as PNG")
-    (folder / "labels.png").write_bytes(png.tobytes())
+    (folder / "labels.png").write_bytes(encode_png(labels.astype(np.uint16)))
     np.save(folder / "scene_flow.npy", flow)
     (folder / "objects.json").write_text(json.dumps(summary, indent=2) + "\n")
 

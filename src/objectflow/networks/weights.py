@@ -134,7 +134,7 @@ def load_network(
         if name not in wanted:
             raise MethodError(f"{path}: damaged: {name} has no place in the network that its header describes")
         if tensors[name].shape != wanted[name].shape:
-            sizes = f"{tuple(tensors[name].shape)}, its header says {tuple(wanted[name].shape)}"
+            sizes = f"{tuple(tensors[name].shape)}, its header declares {tuple(wanted[name].shape)}"
             raise MethodError(f"{path}: damaged: {name} is {sizes}")
         if not bool(tensors[name].isfinite().all()):
             raise MethodError(f"{path}: {name} holds numbers that are not finite: training went wrong")
@@ -187,12 +187,12 @@ def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> 
     """
     if type(found) is not type(wanted):
         kinds = {kind: name for name, kind in _KINDS.items()}
-        raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is asked for")
+        raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is required")
     for field in dataclasses.fields(wanted):
         has, needs = getattr(found, field.name), getattr(wanted, field.name)
         if has != needs and field.name not in wanted.FREE:
             raise MethodError(
-                f"{where}: weights of another configuration: {field.name} is {has} there, but {needs} is asked for"
+                f"{where}: weights of another configuration: {field.name} is {has}, but {needs} is required"
             )
 
 

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from objectflow.errors import StorageError
 from objectflow.storage import files
+from objectflow.storage.images import encode_png
 from objectflow.typing import Float64Array, UInt8Array
 from objectflow.view import canvas
 from objectflow.view.colors import Rgb
 
-WIDTH, HEIGHT = 760, 560
+PANEL_WIDTH, PANEL_HEIGHT = 760, 560
 """Size of a panel in pixels."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 92, 48, 66, 74
 _INK, _GRID, _BLUE, _RED, _GREY = (40, 40, 40), (225, 225, 225), (31, 90, 180), (200, 50, 40), (140, 140, 140)
@@ -46,15 +45,11 @@ def write_curve(path: Path, lines: Sequence[Mapping[str, Any]], *, title: str = 
     Raises:
         StorageError: the picture cannot be written.
     """
-    image = draw_curves(lines, title)
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))
-    if not done:
-        raise StorageError(f"cannot write {path}: the picture cannot be encoded")
-    files.write_bytes(path, data.tobytes())
+    files.write_bytes(path, encode_png(draw_curves(lines, title)))
 
 
 def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Array:
-    """The picture, (HEIGHT, 3 WIDTH, 3) uint8, with panels for loss, end-point error and segmentation."""
+    """The picture, (PANEL_HEIGHT, 3 PANEL_WIDTH, 3) uint8, with panels for loss, end-point error and segmentation."""
     train = [line for line in lines if line["kind"] == "train"]
     validation = [line for line in lines if line["kind"] == "validation"]
     loss = points_of(train, "losses", "total")
@@ -87,13 +82,13 @@ def draw_curves(lines: Sequence[Mapping[str, Any]], title: str = "") -> UInt8Arr
 
 
 def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) -> UInt8Array:
-    """One diagram over steps, (HEIGHT, WIDTH, 3) uint8, or a note that there are no points yet."""
-    image: UInt8Array = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    """One diagram over steps, (PANEL_HEIGHT, PANEL_WIDTH, 3) uint8, or a note that there are no points yet."""
+    image: UInt8Array = np.full((PANEL_HEIGHT, PANEL_WIDTH, 3), 255, np.uint8)
     canvas.write(image, title, _LEFT, 34, 26, _INK, bold=True)
     xs = [x for one in series for x, _ in one.points]
     ys = [y for one in series for _, y in one.points if y > 0 or not logarithmic]
     if not ys:
-        canvas.write(image, "nothing measured yet", _LEFT + 20, HEIGHT / 2, 22, _GREY)
+        canvas.write(image, "nothing measured yet", _LEFT + 20, PANEL_HEIGHT / 2, 22, _GREY)
         return image
     low, high = (min(ys) / 1.1, max(ys) * 1.1) if logarithmic else (0.0, 1.08 * max(ys) or 1.0)
     most = max(xs) or 1.0
@@ -102,21 +97,21 @@ def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) ->
         a, b, value = (math.log(max(one, low)) for one in (low, high, y)) if logarithmic else (low, high, y)
         share = (value - a) / (b - a)
         return (
-            _LEFT + (WIDTH - _LEFT - _RIGHT) * x / most,
-            HEIGHT - _BOTTOM - (HEIGHT - _TOP - _BOTTOM) * min(max(share, 0.0), 1.0),
+            _LEFT + (PANEL_WIDTH - _LEFT - _RIGHT) * x / most,
+            PANEL_HEIGHT - _BOTTOM - (PANEL_HEIGHT - _TOP - _BOTTOM) * min(max(share, 0.0), 1.0),
         )
 
     for value in _ticks(low, high, logarithmic):
         left, y = place(0, value)
-        canvas.line(image, [(left, y), (WIDTH - _RIGHT, y)], _GRID, 1)
+        canvas.line(image, [(left, y), (PANEL_WIDTH - _RIGHT, y)], _GRID, 1)
         text = f"{value:g}"
         canvas.write(image, text, _LEFT - 10 - canvas.text_size(text, 20)[0], y + 7, 20, _INK)
     for value in _ticks(0, most, False):
         x, _ = place(value, low)
-        canvas.line(image, [(x, HEIGHT - _BOTTOM), (x, HEIGHT - _BOTTOM + 6)], _INK, 1)
+        canvas.line(image, [(x, PANEL_HEIGHT - _BOTTOM), (x, PANEL_HEIGHT - _BOTTOM + 6)], _INK, 1)
         text = f"{value:g}"
-        canvas.write(image, text, x - canvas.text_size(text, 20)[0] / 2, HEIGHT - _BOTTOM + 28, 20, _INK)
-    canvas.write(image, "step", WIDTH / 2, HEIGHT - 14, 20, _INK)
+        canvas.write(image, text, x - canvas.text_size(text, 20)[0] / 2, PANEL_HEIGHT - _BOTTOM + 28, 20, _INK)
+    canvas.write(image, "step", PANEL_WIDTH / 2, PANEL_HEIGHT - 14, 20, _INK)
     for one in series:
         points = [place(x, y) for x, y in one.points]
         if len(points) > 1:
@@ -124,7 +119,7 @@ def panel(series: Sequence[Series], title: str, *, logarithmic: bool = False) ->
         if len(points) <= 30 and not one.thin:
             for point in points:
                 canvas.disk(image, point, 4.5, one.color)
-    corners = [(_LEFT, _TOP), (_LEFT, HEIGHT - _BOTTOM), (WIDTH - _RIGHT, HEIGHT - _BOTTOM)]
+    corners = [(_LEFT, _TOP), (_LEFT, PANEL_HEIGHT - _BOTTOM), (PANEL_WIDTH - _RIGHT, PANEL_HEIGHT - _BOTTOM)]
     canvas.line(image, [(float(x), float(y)) for x, y in corners], _INK, 1)
     _legend(image, [one for one in series if one.name and one.points])
     return image

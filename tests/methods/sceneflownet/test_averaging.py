@@ -1,4 +1,4 @@
-"""+Rig: averages of what pixels predict, against sums written out and scipy's mean of rotations."""
+"""+Rig: averages of predictions per object, against plain means and scipy's mean of rotations."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def test_averages_of_noisy_pixels() -> None:
         assert obj.score == pytest.approx(confidence[mask].mean(), abs=1e-6)
 
 
-def test_rotations_around_half_a_turn_do_not_cancel() -> None:
-    # A rotation by nearly pi, predicted from both sides of the wrap: the axis-angle mean would be no rotation.
+def test_rotations_near_180_degrees_do_not_cancel() -> None:
+    # A rotation by nearly pi, predicted on both sides of the wrap: the mean of the axis-angle vectors would be near 0.
     axis = np.array([0.6, 0.0, 0.8])
     rotation = np.empty((6, 10, 3))
     rotation[:3], rotation[3:] = axis * (np.pi - 0.02), -axis * (np.pi - 0.02)
@@ -38,7 +38,7 @@ def test_rotations_around_half_a_turn_do_not_cancel() -> None:
     np.testing.assert_allclose(obj.prev_T_curr[:3, :3], geometry.so3_exp(axis * np.pi), atol=1e-9)
 
 
-def test_flow_made_again_is_exact_for_exact_pixels() -> None:
+def test_the_flow_of_the_averages_is_exact_for_exact_predictions() -> None:
     rng = np.random.default_rng(1)
     labels = np.zeros((8, 9), np.int32)
     labels[2:5, 1:4], labels[5:, 5:] = 1, 2
@@ -53,7 +53,7 @@ def test_flow_made_again_is_exact_for_exact_pixels() -> None:
     assert not flow[labels == 0].any()
 
 
-def test_moving_by_a_shift_or_by_a_turn() -> None:
+def test_an_object_moves_by_translation_or_by_rotation() -> None:
     labels = np.arange(1, 5, dtype=np.int32)[None].repeat(3, axis=0)
     shift, turn = np.zeros((3, 4, 3)), np.zeros((3, 4, 3))
     shift[:, 1, 0], turn[:, 2, 1], shift[:, 3, 0] = 0.005, 0.2, 0.003
@@ -61,7 +61,7 @@ def test_moving_by_a_shift_or_by_a_turn() -> None:
     assert [obj.moving for obj in objects] == [False, True, True, False]
 
 
-def test_mean_is_a_rotation_even_where_rotations_cancel() -> None:
+def test_the_mean_is_a_rotation_even_where_rotations_cancel() -> None:
     rng = np.random.default_rng(2)
     for matrix in (np.zeros((3, 3)), np.diag([1.0, -1.0, 0.0]), -np.eye(3), rng.normal(size=(3, 3))):
         R = mean_rotation(matrix)
@@ -69,7 +69,7 @@ def test_mean_is_a_rotation_even_where_rotations_cancel() -> None:
         assert np.linalg.det(R) == pytest.approx(1)
 
 
-def test_mean_is_the_nearest_rotation() -> None:
+def test_the_mean_is_the_nearest_rotation() -> None:
     rng = np.random.default_rng(3)
     matrices = geometry.so3_exp(rng.normal(size=(50, 3)))
     best = mean_rotation(matrices.mean(axis=0))
@@ -86,7 +86,7 @@ def test_no_objects() -> None:
     assert average_motions(np.zeros((3, 4), np.int32), zeros, zeros, zeros, confidence=np.ones((3, 4))) == ()
 
 
-def test_bad_maps_are_named() -> None:
+def test_invalid_maps_are_rejected() -> None:
     labels, zeros, ones = np.ones((3, 4), np.int32), np.zeros((3, 4, 3)), np.ones((3, 4))
     with pytest.raises(GeometryError, match="maps"):
         average_motions(labels, zeros[1:], zeros, zeros, confidence=ones)

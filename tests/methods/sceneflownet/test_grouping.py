@@ -1,4 +1,4 @@
-"""The greedy spheres against the rule written out pixel by pixel, and the variant with rotation."""
+"""The greedy spheres against plain loops over pixels, and the variant with rotation."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, tr
 from objectflow.typing import LabelImage
 
 
-def _obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor, min_pixels: int) -> LabelImage:
-    """The paper's rule with plain loops in double precision."""
+def group_by_loops(
+    feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor, min_pixels: int
+) -> LabelImage:
+    """The paper's rule by plain loops in double precision."""
     points = feature.double().flatten(1).T.numpy()
     eta, reach = centrality.flatten().numpy(), radius.double().flatten().numpy()
     left = [int(i) for i in foreground.flatten().numpy().nonzero()[0]]
@@ -36,7 +38,7 @@ def _obvious(feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Te
     return labels.reshape(foreground.shape)
 
 
-def _random_maps(seed: int, objects: int, strays: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def random_maps(seed: int, objects: int, strays: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     generator = torch.Generator().manual_seed(seed)
     owner = torch.randint(objects, (15, 20), generator=generator)
     truth = torch.rand(objects, 6, generator=generator)
@@ -44,48 +46,48 @@ def _random_maps(seed: int, objects: int, strays: float) -> tuple[Tensor, Tensor
     wild = torch.rand(15, 20, generator=generator) < strays
     feature = torch.where(wild, torch.rand(6, 15, 20, generator=generator), feature)
     foreground = torch.rand(15, 20, generator=generator) < 0.8
-    # Few levels, so that many pixels tie; some radii below 0, as an untrained network has them.
+    # Few levels, so that many pixels tie; some radii below 0, as those of an untrained network.
     centrality = torch.randint(5, (15, 20), generator=generator).float()
     return feature, foreground, centrality, 0.3 * torch.rand(15, 20, generator=generator) - 0.05
 
 
 @pytest.fixture(params=[0, 40, 1024])
 def few(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Where the work changes over to all distances at once: never, half way, at once."""
-    monkeypatch.setattr(grouping, "_FEW", request.param)
+    """Number of pixels from which all distances are computed at once: never, half way, from the start."""
+    monkeypatch.setattr(grouping, "DIRECT_PIXELS", request.param)
     return int(request.param)
 
 
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("strays", [0.0, 0.3])
-def test_equals_the_rule_written_out(seed: int, strays: float) -> None:
-    maps = _random_maps(seed, 1 + seed, strays)
+def test_groups_equal_those_of_plain_loops(seed: int, strays: float) -> None:
+    maps = random_maps(seed, 1 + seed, strays)
     for min_pixels in (1, 8):
         labels = group(*maps, GroupingSettings(min_pixels=min_pixels))
         assert labels.dtype == torch.int32
-        np.testing.assert_array_equal(labels.numpy(), _obvious(*maps, min_pixels))
+        np.testing.assert_array_equal(labels.numpy(), group_by_loops(*maps, min_pixels))
 
 
 @pytest.mark.usefixtures("few")
-def test_equals_the_rule_with_many_pixels_of_nonsense() -> None:
-    feature, foreground, centrality, radius = _random_maps(3, 4, 1.0)
+def test_groups_equal_those_of_plain_loops_on_random_pixels() -> None:
+    feature, foreground, centrality, radius = random_maps(3, 4, 1.0)
     tiny = torch.full_like(radius, 0.05)
     labels = group(feature, foreground, centrality, tiny, GroupingSettings(min_pixels=1))
     assert int(labels.max()) > 200
-    np.testing.assert_array_equal(labels.numpy(), _obvious(feature, foreground, centrality, tiny, 1))
+    np.testing.assert_array_equal(labels.numpy(), group_by_loops(feature, foreground, centrality, tiny, 1))
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device: none is here")
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 def test_cuda_gives_the_same_labels() -> None:
-    maps = _random_maps(2, 5, 0.2)
+    maps = random_maps(2, 5, 0.2)
     on_cuda = group(*(one.cuda() for one in maps))
     assert on_cuda.is_cuda
     assert torch.equal(on_cuda.cpu(), group(*maps))
 
 
 @pytest.mark.usefixtures("few")
-def test_labels_follow_the_seeds_and_leftovers_the_nearest() -> None:
+def test_labels_are_in_the_order_of_the_seeds_and_leftovers_join_the_nearest_object() -> None:
     feature = torch.zeros(6, 2, 30)
     feature[0, 0], feature[0, 1] = 0.0, 1.0
     feature[0, 0, :3] = 0.8  # three strays, nearest to the second row's object
@@ -100,7 +102,7 @@ def test_labels_follow_the_seeds_and_leftovers_the_nearest() -> None:
 
 
 @pytest.mark.usefixtures("few")
-def test_a_limit_on_seeds_leaves_the_rest_to_the_nearest() -> None:
+def test_pixels_beyond_the_limit_on_seeds_join_the_nearest_object() -> None:
     feature = torch.arange(5.0).repeat_interleave(30).expand(6, 1, -1)
     centrality = -feature[0]
     foreground = torch.ones(1, 150, dtype=torch.bool)
@@ -108,8 +110,8 @@ def test_a_limit_on_seeds_leaves_the_rest_to_the_nearest() -> None:
     assert labels[0].unique_consecutive(return_counts=True)[1].tolist() == [30, 120]
 
 
-def test_same_path_but_turning_differently_only_the_variant_tells() -> None:
-    # Two halves of one merry-go-round seen from the same centre: X and T agree, the rotations differ by half a radian.
+def test_only_the_variant_separates_objects_on_one_path_with_different_rotations() -> None:
+    # Two halves with the same X and T, whose rotations differ by half a radian.
     center = torch.tensor([0.1, 0.0, 0.6])[:, None, None].expand(3, 12, 16)
     translation = torch.tensor([0.05, 0.0, 0.0])[:, None, None].expand(3, 12, 16)
     rotation = torch.zeros(3, 12, 16)
@@ -126,7 +128,7 @@ def test_same_path_but_turning_differently_only_the_variant_tells() -> None:
     assert torch.equal(group(variant, *rest, settings), expected)
 
 
-def test_different_paths_are_told_apart_by_both() -> None:
+def test_both_separate_different_paths() -> None:
     center = torch.zeros(3, 12, 16)
     translation = torch.zeros(3, 12, 16)
     translation[0, :, 8:] = 0.1
@@ -136,8 +138,8 @@ def test_different_paths_are_told_apart_by_both() -> None:
         assert labels.unique_consecutive(dim=1).tolist() == [[1, 2]] * 12
 
 
-def test_numbers_that_are_not_finite_are_background() -> None:
-    feature, foreground, centrality, radius = _random_maps(1, 3, 0.0)
+def test_pixels_with_predictions_that_are_not_finite_are_background() -> None:
+    feature, foreground, centrality, radius = random_maps(1, 3, 0.0)
     feature[2, 3, 4], centrality[5, 6], radius[7, 8] = torch.nan, torch.inf, torch.nan
     spoiled = torch.zeros(15, 20, dtype=torch.bool)
     spoiled[3, 4] = spoiled[5, 6] = spoiled[7, 8] = True
@@ -146,14 +148,14 @@ def test_numbers_that_are_not_finite_are_background() -> None:
 
 
 @pytest.mark.usefixtures("few")
-def test_nothing_in_the_foreground_or_nothing_large_enough() -> None:
-    feature, foreground, centrality, radius = _random_maps(1, 3, 0.0)
+def test_no_foreground_or_no_group_large_enough() -> None:
+    feature, foreground, centrality, radius = random_maps(1, 3, 0.0)
     assert not group(feature, torch.zeros_like(foreground), centrality, radius).any()
     assert not group(feature, foreground, centrality, radius, GroupingSettings(min_pixels=1000)).any()
 
 
-def test_bad_input_is_named() -> None:
-    feature, foreground, centrality, radius = _random_maps(1, 3, 0.0)
+def test_invalid_input_is_rejected() -> None:
+    feature, foreground, centrality, radius = random_maps(1, 3, 0.0)
     with pytest.raises(MethodError, match="one size"):
         group(feature, foreground, centrality[1:], radius)
     with pytest.raises(MethodError, match="bool foreground"):

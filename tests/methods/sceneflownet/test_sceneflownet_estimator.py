@@ -1,4 +1,4 @@
-"""Learned estimators: with a network that says the truth they give it back exactly; with a wrong file, one line."""
+"""The paper's networks as estimators: exact with true maps, batches, settings, and the files that they reject."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ import analytic
 import objectflow
 from helpers.small_networks import TINY, save
 from objectflow import RgbdFrame, geometry
-from objectflow.errors import MethodError
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.errors import MethodError, SettingsError
 from objectflow.geometry.resample import nearest_indices
-from objectflow.methods.network_io import to_tensors
+from objectflow.methods.network_io import scaled_size, to_tensors
 from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.methods.sceneflownet.estimator import SceneFlowEstimator
 from objectflow.motion import SceneMotion
+from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
 from objectflow.typing import LabelImage
 from true_maps import Truth
 
@@ -49,7 +51,7 @@ def truthful(weights: Path, pair: analytic.AnalyticPair, labels: LabelImage, **o
 
 
 def agree(found: LabelImage, true: LabelImage) -> dict[int, int]:
-    """Found label -> true label, by the most pixels; each once."""
+    """Found label -> true label, by most pixels; each at most once."""
     pairs = {int(k): int(np.bincount(true[found == k]).argmax()) for k in np.unique(found[found > 0])}
     assert len(set(pairs.values())) == len(pairs)
     return pairs
@@ -66,7 +68,7 @@ def check_motions(motion: SceneMotion, pair: analytic.AnalyticPair, names: dict[
         assert obj.score == pytest.approx(1 / (1 + np.exp(-6)))
 
 
-# --- a network that says the truth ---
+# --- a network that predicts the truth ---
 
 
 @pytest.mark.parametrize("rigid", ["none", "average"])
@@ -86,7 +88,7 @@ def test_true_maps_give_exact_masks_motions_and_flow(weights: Path, rigid: str) 
     assert motion.seconds > 0
 
 
-def test_refining_the_truth_keeps_it(weights: Path) -> None:
+def test_refinement_keeps_the_truth(weights: Path) -> None:
     pair = scene(320, 240)
     motion = truthful(weights, pair, pair.labels[1::2, 1::2], rigid="refine")(pair.prev, pair.curr)
     check_motions(motion, pair, agree(motion.labels, pair.labels), 2e-3)
@@ -96,12 +98,12 @@ def test_refining_the_truth_keeps_it(weights: Path) -> None:
 @pytest.mark.parametrize(
     ("width", "height", "rows", "columns"),
     [
-        (320, 240, slice(1, None, 2), slice(1, None, 2)),  # halved: the pixel after each block's middle
+        (320, 240, slice(1, None, 2), slice(1, None, 2)),  # halved: the pixel behind the middle of each block
         (80, 60, np.repeat(np.arange(60), 2), np.repeat(np.arange(80), 2)),  # doubled
-        (212, 90, None, None),  # other proportions: as many pixels as the network knows, 213 x 90 of them
+        (212, 90, None, None),  # other proportions: 213 x 90, about as many pixels as at training
     ],
 )
-def test_other_sizes_answer_on_the_inputs_pixels(
+def test_results_lie_on_the_pixels_of_any_input_size(
     weights: Path, rigid: str, width: int, height: int, rows: Any, columns: Any
 ) -> None:
     pair = scene(width, height)
@@ -121,10 +123,10 @@ def test_other_sizes_answer_on_the_inputs_pixels(
     assert np.isnan(motion.scene_flow[~pair.curr.valid]).all()
 
 
-def test_dense_to_motion_is_what_the_estimator_does_without_resizing(weights: Path) -> None:
+def test_decode_is_what_the_estimator_does_without_resizing(weights: Path) -> None:
     pair = scene()
     estimator = truthful(weights, pair, pair.labels)
-    maps = estimator.predict(pair.prev, pair.curr)
+    maps = estimator.predict([pair.prev], [pair.curr])
     points = torch.from_numpy(geometry.back_project(pair.curr.depth, pair.curr.camera)).permute(2, 0, 1)[None]
     rigid: Literal["none", "average"]
     for rigid in ("none", "average"):
@@ -143,7 +145,7 @@ def test_dense_to_motion_is_what_the_estimator_does_without_resizing(weights: Pa
 def test_predictions_that_are_not_finite_are_background(weights: Path) -> None:
     pair = scene()
     estimator = truthful(weights, pair, pair.labels)
-    maps = estimator.predict(pair.prev, pair.curr)
+    maps = estimator.predict([pair.prev], [pair.curr])
     points = torch.from_numpy(geometry.back_project(pair.curr.depth, pair.curr.camera)).permute(2, 0, 1)[None]
     for name in ("rotation", "translation", "center", "radius", "centrality", "mask"):
         value = getattr(maps, name).clone()
@@ -154,7 +156,7 @@ def test_predictions_that_are_not_finite_are_background(weights: Path) -> None:
         assert motion.objects
 
 
-def test_an_object_without_any_depth_is_left_out(weights: Path) -> None:
+def test_an_object_without_depth_is_left_out(weights: Path) -> None:
     pair = scene()
     depth = np.where(pair.labels == 1, 0, pair.curr.depth).astype(np.float32)
     motion = truthful(weights, pair, pair.labels)(pair.prev, dataclasses.replace(pair.curr, depth=depth))
@@ -164,10 +166,10 @@ def test_an_object_without_any_depth_is_left_out(weights: Path) -> None:
 
 
 @pytest.mark.parametrize(("metadata", "count"), [({}, 1), ({"grouping": {"rotation_weight": 0.1}}, 2)])
-def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
+def test_weights_trained_with_rotation_separate_objects_on_one_path(
     tmp_path: Path, metadata: dict[str, Any], count: int
 ) -> None:
-    """The paper's discussion: a lid and its jar share X and T; only one of them turns."""
+    """The paper's discussion: a lid and its jar share X and T, and only the lid rotates."""
     pair = scene()
     labels = np.zeros_like(pair.labels)
     labels[20:60, 20:60], labels[20:60, 60:100] = 1, 2
@@ -193,7 +195,7 @@ def test_weights_trained_with_rotation_tell_objects_on_one_path_apart(
         check_motions(motion, made, agree(motion.labels, labels), 1e-5)
 
 
-def test_nearest_is_the_nearest_centre() -> None:
+def test_nearest_indices_are_those_of_the_nearest_centres() -> None:
     for source, size in (((5, 9), (11, 4)), ((6, 6), (6, 6)), ((3, 4), (30, 41))):
         for got, n, m in zip(nearest_indices(source, size), source, size, strict=True):
             centers, wanted = (np.arange(n) + 0.5) / n, (np.arange(m) + 0.5) / m
@@ -204,7 +206,7 @@ def test_nearest_is_the_nearest_centre() -> None:
 # --- a network with random weights ---
 
 
-def test_the_same_frames_give_the_same_result_and_change_nothing(tmp_path: Path) -> None:
+def test_results_are_deterministic_and_inputs_unchanged(tmp_path: Path) -> None:
     """At a size that the network pads."""
     pair, weights = scene(100, 75), save(tmp_path / "w.safetensors", size=[75, 101])
     kept = pair.prev.color.copy(), pair.curr.depth.copy()
@@ -217,12 +219,12 @@ def test_the_same_frames_give_the_same_result_and_change_nothing(tmp_path: Path)
     np.testing.assert_array_equal(pair.curr.depth, kept[1])
 
 
-def test_the_network_is_given_the_frames_in_its_own_units(weights: Path) -> None:
-    """By hand: colour in 0..1, points in metres, previous before current."""
+def test_the_networks_inputs(weights: Path) -> None:
+    """By hand: colour in 0..1, points in metres, the previous frame first."""
     pair = scene()
     estimator = objectflow.load(NAME, camera="static", weights=weights)
     assert isinstance(estimator, SceneFlowEstimator)
-    found = estimator.predict(pair.prev, pair.curr)
+    found = estimator.predict([pair.prev], [pair.curr])
     arguments = []
     for frame in (pair.prev, pair.curr):
         z = np.where(frame.depth > 0, frame.depth, np.nan).astype(np.float64)
@@ -236,22 +238,22 @@ def test_the_network_is_given_the_frames_in_its_own_units(weights: Path) -> None
         torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-6)
 
 
-# --- options and weights ---
+# --- settings and weights ---
 
 
-def test_weights_bring_the_options_that_they_were_trained_with(tmp_path: Path) -> None:
+def test_weights_bring_the_settings_of_their_training(tmp_path: Path) -> None:
     path = save(tmp_path / "w.safetensors", size=[60, 80], grouping={"rotation_weight": 0.07})
     estimator: Any = objectflow.load(NAME, camera="static", weights=path)
     assert (estimator.size, estimator.grouping.rotation_weight) == ((60, 80), 0.07)
-    assert estimator.resize(scene().curr).depth.shape == (60, 80)
+    assert scaled_size(scene().curr, estimator.size) == (60, 80)
     other: Any = objectflow.load(NAME, camera="static", weights=str(path), rotation_weight=0.0, min_pixels=3)
     assert (other.grouping.rotation_weight, other.grouping.min_pixels) == (0, 3)
     bare = save(tmp_path / "bare.safetensors", size=[240, 320])
     assert objectflow.load(NAME, camera="static", weights=bare).size == (240, 320)  # type: ignore[attr-defined]
 
 
-def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
-    """Trained with rotation in the trajectory: losses, B and, by the header, the grouping."""
+def test_the_output_folder_of_training_can_be_loaded(tmp_path: Path) -> None:
+    """Trained with rotation in the trajectory feature, which the header passes on to the grouping."""
     pytest.importorskip("pyarrow")
     from helpers.training_runs import RECIPE, job, write_set
     from objectflow.training.loop import train
@@ -280,7 +282,7 @@ def test_what_training_writes_is_loaded_by_its_folder(tmp_path: Path) -> None:
         (NAME, {}, {"grouping": {"rotation_weight": -1}}, "rotation_weight must be finite and >= 0"),
     ],
 )
-def test_weights_that_do_not_fit_say_why(
+def test_weights_that_do_not_fit_are_rejected(
     tmp_path: Path, name: str, changes: dict[str, Any], metadata: dict[str, Any], message: str
 ) -> None:
     path = save(tmp_path / "w.safetensors", dataclasses.replace(TINY, **changes), **metadata)
@@ -291,21 +293,36 @@ def test_weights_that_do_not_fit_say_why(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"camera": "handheld"}, "camera must be auto, static or moving, not 'handheld'"),
-        ({"rigid": "soft"}, "rigid must be none, average or refine, not 'soft'"),
+        ({"camera": "handheld"}, "setting camera must be one of auto, static, moving, not 'handheld'"),
+        ({"rigid": "soft"}, "setting rigid must be one of none, average, refine, not 'soft'"),
+        ({"min_pixels": 0}, "setting min_pixels must be at least 1, not 0"),
+        ({"rotation_weight": -1}, "setting rotation_weight must be at least 0, not -1"),
+        ({"rotation_weight": float("nan")}, "setting rotation_weight must be a finite number or none, not nan"),
+        ({"refine.max_shift": "far"}, "setting refine.max_shift must be a finite number, not 'far'"),
+        ({"seed": -1}, "setting seed must be at least 0, not -1"),
+    ],
+)
+def test_invalid_settings_are_named(weights: Path, options: dict[str, Any], message: str) -> None:
+    with pytest.raises(SettingsError) as caught:
+        objectflow.load(NAME, **{"weights": weights, **options})
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
         ({"device": "abacus"}, "unknown device 'abacus'"),
         ({"device": "cuda:99"}, "device cuda:99 asked for, but there is"),
         ({"device": "xpu"}, "device xpu cannot be used"),
-        ({"min_pixels": 0}, "min_pixels and max_seeds must be at least 1"),
         ({"weights": "nowhere.safetensors"}, "nowhere.safetensors: no such file or folder of weights"),
     ],
 )
-def test_options_that_cannot_be_are_named(weights: Path, options: dict[str, Any], message: str) -> None:
+def test_devices_and_files_that_are_missing_are_named(weights: Path, options: dict[str, Any], message: str) -> None:
     with pytest.raises(MethodError, match=message):
         objectflow.load(NAME, **{"weights": weights, **options})
 
 
-def test_frames_that_cannot_be_used_are_refused(weights: Path) -> None:
+def test_frames_almost_without_depth_have_a_result(weights: Path) -> None:
     pair = scene()
     depth = np.zeros_like(pair.curr.depth)
     depth[0, 0] = 1.0
@@ -314,14 +331,19 @@ def test_frames_that_cannot_be_used_are_refused(weights: Path) -> None:
     assert np.isnan(motion.scene_flow).any(-1).sum() == depth.size - 1
 
 
-def test_a_moving_camera_is_taken_out_and_put_back(weights: Path) -> None:
+def moving_pairs() -> tuple[analytic.AnalyticPair, analytic.AnalyticPair]:
+    """One scene from a static and from a moving camera."""
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_euler("xyz", (2, -2, 1), degrees=True).as_matrix()
     motion[:3, 3] = (0.02, -0.01, 0.02)
-    still = analytic.make_scene(5, objects=(4, 4), width=160, height=120)
-    moved = analytic.make_scene(5, objects=(4, 4), width=160, height=120, camera_motion=motion)
+    options: dict[str, Any] = {"objects": (4, 4), "width": 160, "height": 120}
+    return analytic.make_scene(5, **options), analytic.make_scene(5, camera_motion=motion, **options)
+
+
+def test_the_cameras_motion_is_compensated_and_composed(weights: Path) -> None:
+    static, moved = moving_pairs()
     estimator: Any = objectflow.load(NAME, weights=weights)
-    object.__setattr__(estimator.estimator, "network", Truth(still, still.labels))
+    object.__setattr__(estimator, "network", Truth(static, static.labels))
     found = estimator(moved.prev, moved.curr)
     assert found.camera_motion is not None
     off = np.linalg.norm(found.scene_flow - moved.scene_flow, axis=-1)
@@ -329,3 +351,48 @@ def test_a_moving_camera_is_taken_out_and_put_back(weights: Path) -> None:
     for obj in found.objects:
         true = moved.prev_T_curr[int(np.bincount(moved.labels[found.labels == obj.id]).argmax())]
         np.testing.assert_allclose(obj.prev_T_curr, true, atol=0.01)
+
+
+# --- batches ---
+
+
+class Foreground(torch.nn.Module):
+    """A network with random weights, of which 40% of the pixels are foreground; by itself it may have none."""
+
+    def __init__(self, inner: SceneFlowNet) -> None:
+        super().__init__()
+        self.inner = inner
+
+    def forward(self, *images: torch.Tensor) -> SceneFlowNetOutput:
+        maps: SceneFlowNetOutput = self.inner(*images)
+        difference = maps.mask[:, 1:] - maps.mask[:, :1]
+        level = difference.flatten(1).quantile(0.6, dim=1)[:, None, None, None]
+        mask = torch.cat([torch.zeros_like(difference), 20 * (difference - level)], dim=1)
+        return maps._replace(mask=mask, radius=torch.full_like(maps.radius, 0.05))
+
+
+@pytest.mark.parametrize("rigid", ["none", "average", "refine"])
+def test_a_batch_equals_its_pairs_one_by_one(weights: Path, rigid: str) -> None:
+    """Frames of two sizes from a static camera, and one pair from a moving one."""
+    estimator: Any = objectflow.load(NAME, weights=weights, rigid=rigid, device="cpu")
+    object.__setattr__(estimator, "network", Foreground(estimator.network))
+    calls: list[int] = []
+    predict = estimator.predict
+    object.__setattr__(estimator, "predict", lambda prev, curr: calls.append(len(prev)) or predict(prev, curr))
+    scenes = [scene(), scene(160, 90), *moving_pairs()]
+    found = estimator.estimate_batch([FramePair(pair.prev, pair.curr) for pair in scenes])
+    assert sorted(calls) == [1, 3]  # one evaluation per size
+    assert [motion.camera_motion is not None for motion in found] == [False, False, False, True]
+    assert sum(len(motion.objects) for motion in found) >= 4
+    for pair, motion in zip(scenes, found, strict=True):
+        alone = estimator(pair.prev, pair.curr)
+        np.testing.assert_array_equal(motion.labels, alone.labels)
+        np.testing.assert_allclose(motion.scene_flow, alone.scene_flow, atol=1e-5)
+        assert len(motion.objects) == len(alone.objects)
+        for one, other in zip(motion.objects, alone.objects, strict=True):
+            assert (one.id, one.pixels, one.moving) == (other.id, other.pixels, other.moving)
+            np.testing.assert_allclose(one.prev_T_curr, other.prev_T_curr, atol=1e-5)
+            np.testing.assert_allclose(one.center, other.center, atol=1e-5)
+            assert one.score == pytest.approx(other.score, abs=1e-5)
+        assert motion.settings == alone.settings
+    assert estimator.estimate_batch([]) == []

@@ -72,7 +72,7 @@ class OracleMasks:
             source = small.sources.take(mask_s)
             found = _fit(small.target, source, _inside(along_flow, mask_s), _inside(features, mask_s), background)
             seen = points[mask & curr.valid].astype(np.float64)
-            objects.append(_describe(label, int(mask.sum()), found, seen, background))
+            objects.append(_object_motion(label, int(mask.sum()), found, seen, background))
         motions = {obj.id: obj.prev_T_curr for obj in objects}
         return SceneMotion(
             labels=self.labels,
@@ -103,7 +103,7 @@ def _fit(
     return max(refined, key=lambda r: r.fitness * r.visible)
 
 
-def _describe(
+def _object_motion(
     label: int, pixels: int, found: registration.RegistrationResult, points: Float64Array, background: Float64Array
 ) -> ObjectMotion:
     center, shift = np.zeros(3), 0.0

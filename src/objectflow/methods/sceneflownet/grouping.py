@@ -12,8 +12,8 @@ from objectflow.errors import MethodError
 
 _COMPACT = 0.8
 """Assigned pixels are dropped from the arrays once no more than this share of them is left unassigned."""
-_FEW = 1024
-"""From so few pixels on, all their mutual distances are found at once: a megabyte or two."""
+DIRECT_PIXELS = 1024
+"""Number of unassigned pixels at which all mutual distances are computed at once, in one or two megabytes."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
     reach = radius.clamp_min(0).square()
     left, free, first = points, torch.ones_like(groups, dtype=torch.bool), 0
     for seed in range(1, max_seeds + 1):
-        if place.numel() <= _FEW:
+        if place.numel() <= DIRECT_PIXELS:
             place, left = place[free], left[:, free]
             groups[place] = _few_spheres(left, reach[place], seed, max_seeds)
             break
