@@ -94,21 +94,9 @@ def test_values_out_of_bounds_are_rejected(bad: dict[str, float]) -> None:
 
 
 def test_models_are_equal_by_their_numbers() -> None:
-<<<<<<< HEAD
-    explicit = DepthNoise(base=0.0012, growth=0.0019, near=0.4)
-    assert explicit == DepthNoise()
-    assert explicit != MeasuredDepthNoise()
-    assert MeasuredDepthNoise(0.001, 0.0, 0.4, (0.5, 1.0, 2.0), (0.002, 0.004, 0.012)) == MEASURED
-||||||| 7fa8ddf
-    explicit = DepthNoise(base=0.0012, growth=0.0019, near=0.4)
-    assert explicit == DepthNoise()
-    assert explicit != MeasuredDepthNoise()
-    assert MEASURED == MeasuredDepthNoise(0.001, 0.0, 0.4, (0.5, 1.0, 2.0), (0.002, 0.004, 0.012))
-=======
     structured = DepthNoise(base=0.0012, growth=0.0019, near=0.4)
     measured = MeasuredDepthNoise(depths=(1.0,), sigmas=(0.1,))
     assert structured == STRUCTURED_LIGHT
     assert structured != MeasuredDepthNoise()
     assert measured == MeasuredDepthNoise(depths=[1], sigmas=["0.1"])  # type: ignore[arg-type, list-item]
     assert measured != MeasuredDepthNoise(depths=(1.0,), sigmas=(0.2,))
->>>>>>> 785427accb3d892c180523f86c7e831c4825532f
