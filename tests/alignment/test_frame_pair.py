@@ -197,3 +197,14 @@ def test_an_estimator_of_frames_is_given_frames() -> None:
         return SceneMotion(np.zeros((1, 1), np.int32), np.zeros((1, 1, 3), np.float32), method="plain")
 
     assert estimate_pair(estimator, FramePair(SCENE.prev, SCENE.curr)).method == "plain"
+
+
+def test_matches_are_kept_under_another_noise_model(calls: Counter[str]) -> None:
+    pair = FramePair(SCENE.prev, SCENE.curr)
+    small, matches = pair.at_width(64), pair.matches
+    other = pair.with_noise(DepthNoise(base=0.01))
+    assert other.matches is matches
+    assert calls["match_frames"] == 1
+    assert other.at_width(64).curr is small.curr
+    assert other.target is not pair.target
+    assert other.target.noise == DepthNoise(base=0.01)

@@ -17,7 +17,7 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.networks import NetworkSettings
 from objectflow.training.job import TrainJob
 from objectflow.training.loop import train
-from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.recipe import Recipe
 
 NETWORK = NetworkSettings(
@@ -47,17 +47,17 @@ RECIPE = Recipe(
     log_every=5,
     workers=0,
     augment=AugmentSettings(sensors=1),
-    model=SceneFlowNetConfig(NETWORK),
+    model=SceneFlowNetModel(NETWORK),
 )
 """With every feature whose state a resumed run must restore."""
 PLAIN = dataclasses.replace(
     RECIPE,
     ema_decay=0.0,
     augment=AugmentSettings.nothing(),
-    model=SceneFlowNetConfig(dataclasses.replace(NETWORK, trunk_norm="frozen")),
+    model=SceneFlowNetModel(dataclasses.replace(NETWORK, trunk_norm="frozen")),
 )
 """Without randomness or batch statistics, so that several processes must agree with one."""
-RIGID = dataclasses.replace(RECIPE, model=RigidMatchConfig(TINY_RIGID))
+RIGID = dataclasses.replace(RECIPE, model=RigidMatchModel(TINY_RIGID))
 """The same for `RigidMatch`."""
 
 

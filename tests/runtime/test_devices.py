@@ -23,7 +23,7 @@ from objectflow.dataset.batches import Batch
 from objectflow.evaluation.data.sources import open_set
 from objectflow.training import loop
 from objectflow.training.loop import train
-from objectflow.training.model_config import RigidMatchConfig
+from objectflow.training.model_config import RigidMatchModel
 from objectflow.training.recipe import Recipe
 
 DEVICE = FAKE_DEVICE.type
@@ -96,12 +96,12 @@ def agree(name: str, *, size: tuple[int, int] = (320, 240), **options: Any) -> N
     assert np.nanmedian(error) < 1e-5
 
 
-RIGID = dataclasses.replace(RECIPE, model=RigidMatchConfig(TINY_RIGID), size=(48, 64))
+RIGID = dataclasses.replace(RECIPE, model=RigidMatchModel(TINY_RIGID), size=(48, 64))
 RECIPES = {
     "the paper's network": RECIPE,
     "rigidmatch": RIGID,
     "details": dataclasses.replace(
-        RIGID, model=RigidMatchConfig(dataclasses.replace(TINY_RIGID, stride=8, detail_channels=6))
+        RIGID, model=RigidMatchModel(dataclasses.replace(TINY_RIGID, stride=8, detail_channels=6))
     ),
 }
 

@@ -29,7 +29,7 @@ from objectflow.training.callbacks import Callback
 from objectflow.training.ema import ExponentialMovingAverage
 from objectflow.training.job import TrainJob, open_data
 from objectflow.training.loop import train
-from objectflow.training.model_config import SceneFlowNetConfig
+from objectflow.training.model_config import SceneFlowNetModel
 from objectflow.training.parallel import Process
 from objectflow.training.prefetch import on_device
 from objectflow.training.recipe import Recipe
@@ -70,8 +70,8 @@ def test_a_run_learns_and_records_what_it_did(data: Path, tmp_path: Path) -> Non
     assert (tmp_path / "run" / "loss_curve.png").stat().st_size > 1000
 
 
-def paper_model(model: object) -> SceneFlowNetConfig:
-    assert isinstance(model, SceneFlowNetConfig)
+def paper_model(model: object) -> SceneFlowNetModel:
+    assert isinstance(model, SceneFlowNetModel)
     return model
 
 

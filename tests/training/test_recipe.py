@@ -13,7 +13,7 @@ import tyro
 from objectflow.cli.train import Train, default
 from objectflow.errors import TrainingError
 from objectflow.networks import SceneFlowNet
-from objectflow.training.model_config import VARIANTS, RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.model_config import VARIANTS, RigidMatchModel, SceneFlowNetModel
 from objectflow.training.recipe import Recipe
 from objectflow.training.recipes import RECIPES, find_recipe
 
@@ -23,9 +23,9 @@ def parse(*words: str) -> Train:
     return tyro.cli(Train, args=typed, default=default(typed))
 
 
-def paper_model(name: str) -> SceneFlowNetConfig:
+def paper_model(name: str) -> SceneFlowNetModel:
     model = RECIPES[name].model
-    assert isinstance(model, SceneFlowNetConfig)
+    assert isinstance(model, SceneFlowNetModel)
     return model
 
 
@@ -51,7 +51,7 @@ def test_a_variant_chooses_the_network_and_its_losses(name: str) -> None:
     assert models["c-vl"] == RECIPES[name].model
     # Nothing else differs.
     assert [model.with_variant("c-vl") for model in papers] == [models["c-vl"]] * 3
-    assert models["rigidmatch"] == RigidMatchConfig()
+    assert models["rigidmatch"] == RigidMatchModel()
     assert [model.method for model in models.values()] == [
         "sceneflownet-s", "sceneflownet-c", "sceneflownet-c-vl", "rigidmatch",
     ]  # fmt: skip
@@ -95,7 +95,7 @@ def test_every_field_can_be_replaced_from_the_command_line(name: str) -> None:
     assert typed.settings == dataclasses.replace(
         before, size=(96, 128), steps=7, minutes=2.5, clip=None, learning_rate=0.003, betas=(0.8, 0.9),
         compile=False, channels_last=True, precision="bf16",
-        model=SceneFlowNetConfig(
+        model=SceneFlowNetModel(
             dataclasses.replace(network, reach=4, down=down, trunk_norm="frozen"),
             dataclasses.replace(loss, squared=True),
         ),
@@ -107,10 +107,10 @@ def test_every_field_can_be_replaced_from_the_command_line(name: str) -> None:
 def test_every_field_of_the_other_network_can_be_replaced_too(name: str) -> None:
     before = find_recipe(name, "rigidmatch")
     assert parse("--recipe", name, "--variant=rigidmatch").settings == before
-    words = ("--model.network.queries", "7", "--model.network.motion", "regress", "--model.loss.match", "3")
+    words = ("--model.network.queries", "7", "--model.network.xfeat", "none", "--model.loss.match", "3")
     typed = parse("--variant", "rigidmatch", "--recipe", name, *words).settings
-    assert typed.model == RigidMatchConfig(
-        dataclasses.replace(before.model.network, queries=7, motion="regress"),
+    assert typed.model == RigidMatchModel(
+        dataclasses.replace(before.model.network, queries=7, xfeat="none"),
         dataclasses.replace(before.model.loss, match=3.0),
     )
 

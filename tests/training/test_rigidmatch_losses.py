@@ -25,7 +25,7 @@ from objectflow.networks.rigidmatch.xfeat import XFeat
 from objectflow.networks.weights import read_header
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
-from objectflow.training.model_config import RigidMatchConfig
+from objectflow.training.model_config import RigidMatchModel
 from objectflow.training.recipe import Recipe
 from objectflow.training.rigidmatch_loss_settings import RigidMatchLossSettings
 from objectflow.training.rigidmatch_losses import (
@@ -62,7 +62,7 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
         rows.append(dataclasses.replace(row, prev_labels=blocks, curr_labels=blocks, objects=objects, **frames))
     shards = write_pairs(tmp_path_factory.mktemp("set"), rows)
     batch = next(Batches(shards, 2, size=None, seed=0, shuffle=False).iterate())
-    return prepare(batch, Recipe(augment=AugmentSettings.nothing(), model=RigidMatchConfig()), None)
+    return prepare(batch, Recipe(augment=AugmentSettings.nothing(), model=RigidMatchModel()), None)
 
 
 @cache
@@ -255,7 +255,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tmp_path: Path) -
 
 def test_xfeat_is_needed_stays_frozen_and_travels_with_the_weights(tmp_path: Path) -> None:
     data, path = write_set(tmp_path / "set"), tmp_path / "xfeat.safetensors"
-    model = RigidMatchConfig(dataclasses.replace(SETTINGS, xfeat="both"))
+    model = RigidMatchModel(dataclasses.replace(SETTINGS, xfeat="both"))
     recipe = dataclasses.replace(RIGID, model=model, steps=2, validate_every=2)
     with pytest.raises(MethodError, match=r"rigidmatch needs the filters of XFeat: .*--backbone-weights"):
         train(job(data, tmp_path / "none", recipe))
@@ -268,7 +268,7 @@ def test_xfeat_is_needed_stays_frozen_and_travels_with_the_weights(tmp_path: Pat
 
 def test_a_scaled_batch_has_the_losses_of_the_batch(prepared: Prepared) -> None:
     """Depth is normalised before losses: the scale of the scene does not weigh."""
-    recipe = dataclasses.replace(RIGID, model=RigidMatchConfig(SETTINGS))
+    recipe = dataclasses.replace(RIGID, model=RigidMatchModel(SETTINGS))
     losses = []
     for factor in (1.0, 5.0):
         batch = rescale(prepared.batch, torch.full((2,), factor))

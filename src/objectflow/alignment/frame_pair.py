@@ -46,8 +46,14 @@ class FramePair:
         return self._at[width]
 
     def with_noise(self, noise: DepthNoise) -> FramePair:
-        """The same prepared frames under another noise model."""
-        return self if noise == self.noise else FramePair(self.prev, self.curr, noise=noise)
+        """The same prepared frames and matches under another noise model."""
+        if noise == self.noise:
+            return self
+        pair = FramePair(self.prev, self.curr, noise=noise)
+        pair._at = {width: smaller.with_noise(noise) for width, smaller in self._at.items()}
+        if "matches" in vars(self):
+            vars(pair)["matches"] = self.matches  # matches do not depend on the noise
+        return pair
 
     def followed_by(self, frame: RgbdFrame) -> FramePair:
         """The next pair of a sequence: this pair's current frame, prepared already, becomes the previous one."""

@@ -1,4 +1,4 @@
-"""Warping with occlusion: take from the previous frame what the current one shows, or throw points into an image."""
+"""Warping with occlusion: sampling the previous frame at the current frame's points, and splatting into an image."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from objectflow.geometry.resample import sample_bilinear
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 _EMPTY = np.uint64(2**64 - 1)
+"""Value of empty pixels in the depth buffer of `splat`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Warped:
-    """What the previous frame shows where the current frame's pixels were.
+    """The previous frame, warped to the pixels of the current frame.
 
     Attributes:
         color: (H, W, 3) float32, RGB 0..255; 0 where not visible.
         depth: (H, W) float32, metres in the previous camera's frame; 0 where not visible.
-        visible: (H, W) bool: the previous frame measured this point, with nothing before it.
+        visible: (H, W) bool, True where the previous frame measured the point, unoccluded.
     """
 
     color: Float32Array
@@ -35,27 +36,27 @@ class Warped:
 
 
 def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: float | NDArray[Any]) -> Warped:
-    """Sample the previous frame where the current frame's pixels were.
+    """Sample the previous frame at the previous positions of the current frame's points.
 
     Args:
         prev: the previous frame.
         points_in_prev: (H, W, 3) metres, previous camera frame: the current pixels' points plus their scene flow.
-            NaN where unknown. H and W are the current frame's and may differ from the previous one's.
-        tolerance: metres, a number or (H, W): how far from the measured surface a point may lie. Something nearer
-            hides the point; something further says that the motion is wrong there. Neither is visible.
+            NaN where unknown. H and W are those of the current frame and may differ from those of the previous frame.
+        tolerance: maximum depth difference from the measured surface in metres, a number or (H, W). A nearer surface
+            occludes the point; a farther surface contradicts the motion. The point is not visible in either case.
 
     Returns:
-        Colour bilinear, depth bilinear on one surface and not sampled across edges, and what is visible.
+        Bilinear colour, bilinear depth that is not interpolated across depth edges, and visibility.
 
     Raises:
-        GeometryError: points of another shape, or a tolerance that is not positive or does not fit.
+        GeometryError: the points have another shape, or the tolerance has another shape or is not positive.
     """
     points = np.asarray(points_in_prev)
     if points.ndim != 3 or points.shape[2] != 3:
         raise GeometryError(f"points_in_prev must be (H, W, 3), not {points.shape}")
     limit = np.asarray(tolerance, dtype=np.float64)
     if limit.shape not in ((), points.shape[:2]) or not (limit > 0).all():
-        raise GeometryError(f"tolerance must be a positive number of metres or an array {points.shape[:2]} of them")
+        raise GeometryError(f"tolerance must be positive metres, a number or an array of shape {points.shape[:2]}")
     with np.errstate(over="ignore"):
         pixels = geometry.project(points.astype(np.float64), prev.camera).reshape(-1, 2).astype(np.float32)
     measured, ok = matching.sample_depth(prev.depth, pixels)
@@ -69,18 +70,18 @@ def warp_previous(prev: RgbdFrame, points_in_prev: NDArray[Any], *, tolerance: f
 
 
 def splat(points: NDArray[Any], color: UInt8Array, camera: Camera) -> tuple[UInt8Array, Float32Array]:
-    """Throw coloured points into an image: each into the pixel that it falls in, the nearest of a pixel wins.
+    """Splat coloured points into an image: each point fills one pixel, and the nearest point of a pixel is kept.
 
     Args:
-        points: (..., 3) metres, camera frame; NaN and points behind the camera are left out.
-        color: (..., 3) uint8, one for each point.
-        camera: of the image to fill.
+        points: (..., 3) metres, camera frame; NaN and points behind the camera are ignored.
+        color: (..., 3) uint8, one colour per point.
+        camera: the camera of the rendered image.
 
     Returns:
         Colour (H, W, 3) uint8 and planar depth (H, W) float32 in metres; both 0 in holes.
 
     Raises:
-        GeometryError: shapes that do not fit.
+        GeometryError: the shapes of points and colours differ, or are not (..., 3).
     """
     if points.shape != color.shape or points.ndim < 2 or points.shape[-1] != 3:
         raise GeometryError(f"splat needs points and colours of one shape (..., 3), not {points.shape}, {color.shape}")
@@ -89,7 +90,7 @@ def splat(points: NDArray[Any], color: UInt8Array, camera: Camera) -> tuple[UInt
     with np.errstate(invalid="ignore"):
         keep = np.flatnonzero((column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height))
     target = row[keep].astype(np.int64) * camera.width + column[keep].astype(np.int64)
-    # A buffer of depth and point in one number: bits of positive floats are in the order of the floats.
+    # Each buffer entry combines depth and point index: the bits of positive floats sort in the order of the floats.
     near = flat[keep, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
     buffer = np.full(camera.height * camera.width, _EMPTY)
     np.minimum.at(buffer, target, near | keep.astype(np.uint64))

@@ -13,7 +13,7 @@ from objectflow.motion import SceneMotion
 from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
 from objectflow.networks.weights import Network
-from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.rigidmatch_losses import rigidmatch_losses
 from objectflow.training.sceneflownet_losses import sceneflownet_losses
 from objectflow.training.step import Prepared
@@ -63,7 +63,7 @@ class WithCorrelation(nn.Module):
 class SceneFlowNetAdapter:
     """Training of the paper's network."""
 
-    def __init__(self, network: SceneFlowNet, config: SceneFlowNetConfig) -> None:
+    def __init__(self, network: SceneFlowNet, config: SceneFlowNetModel) -> None:
         self.network = network
         self.module = WithCorrelation(network)
         self._config = config
@@ -93,7 +93,7 @@ class SceneFlowNetAdapter:
 class RigidMatchAdapter:
     """Training of `RigidMatch`."""
 
-    def __init__(self, network: RigidMatch, config: RigidMatchConfig) -> None:
+    def __init__(self, network: RigidMatch, config: RigidMatchModel) -> None:
         self.network = network
         self.module = network
         self._config = config

@@ -20,7 +20,7 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 
 
 @dataclass(frozen=True)
-class SceneFlowNetConfig:
+class SceneFlowNetModel:
     """The paper's network and its losses; the defaults are the paper's OurC+vL.
 
     Raises:
@@ -64,16 +64,16 @@ class SceneFlowNetConfig:
         """How pixels are grouped: in the same trajectory space as in the losses."""
         return GroupingSettings(rotation_weight=self.rotation_weight)
 
-    def with_variant(self, variant: PaperVariant) -> SceneFlowNetConfig:
+    def with_variant(self, variant: PaperVariant) -> SceneFlowNetModel:
         """The same widths and loss weights for another of the paper's variants."""
-        return SceneFlowNetConfig(
+        return SceneFlowNetModel(
             dataclasses.replace(self.network, correlation=variant != "s"),
             dataclasses.replace(self.loss, vl=variant == "c-vl"),
         )
 
 
 @dataclass(frozen=True)
-class RigidMatchConfig:
+class RigidMatchModel:
     """The network `RigidMatch` and its losses; the defaults are the full size."""
 
     network: RigidMatchSettings = field(default_factory=RigidMatchSettings)
@@ -100,4 +100,4 @@ class RigidMatchConfig:
         return self.network.median_depth
 
 
-ModelConfig = SceneFlowNetConfig | RigidMatchConfig
+ModelConfig = SceneFlowNetModel | RigidMatchModel

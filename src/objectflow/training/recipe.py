@@ -10,7 +10,7 @@ from typing import Any, Literal
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.errors import TrainingError
 from objectflow.storage.serialize import to_plain
-from objectflow.training.model_config import ModelConfig, SceneFlowNetConfig
+from objectflow.training.model_config import ModelConfig, SceneFlowNetModel
 
 FREE = frozenset({"workers", "log_every", "checkpoint_minutes", "keep_checkpoints"})
 """Fields that change no weight: a run may be continued with other values."""
@@ -74,7 +74,7 @@ class Recipe:
     """Number of checkpoints to keep."""
     workers: int = 2
     """Processes that read data ahead; 0 reads between steps."""
-    model: ModelConfig = field(default_factory=SceneFlowNetConfig)
+    model: ModelConfig = field(default_factory=SceneFlowNetModel)
     """The network and its losses; --variant chooses between the two kinds."""
     augment: AugmentSettings = field(default_factory=AugmentSettings)
 

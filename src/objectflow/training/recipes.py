@@ -7,7 +7,7 @@ import dataclasses
 from objectflow.dataset.augment import AugmentSettings
 from objectflow.errors import TrainingError
 from objectflow.networks import NetworkSettings
-from objectflow.training.model_config import VARIANTS, RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.model_config import VARIANTS, RigidMatchModel, SceneFlowNetModel
 from objectflow.training.recipe import Recipe
 from objectflow.training.sceneflownet_losses import SceneFlowNetLossSettings
 
@@ -33,11 +33,11 @@ _FAST_LOSS = SceneFlowNetLossSettings(
 run, and all others' for longer: docs/training.md has the numbers."""
 
 _SCENEFLOWNET = {
-    "paper": SceneFlowNetConfig(),
-    "gpu": SceneFlowNetConfig(_FAST, _FAST_LOSS),
-    "cpu": SceneFlowNetConfig(_FAST_NARROW, _FAST_LOSS),
+    "paper": SceneFlowNetModel(),
+    "gpu": SceneFlowNetModel(_FAST, _FAST_LOSS),
+    "cpu": SceneFlowNetModel(_FAST_NARROW, _FAST_LOSS),
 }
-_RIGIDMATCH = dict.fromkeys(("paper", "gpu", "cpu"), RigidMatchConfig())
+_RIGIDMATCH = dict.fromkeys(("paper", "gpu", "cpu"), RigidMatchModel())
 """The size of each network that fits each recipe."""
 
 RECIPES: dict[str, Recipe] = {

@@ -16,7 +16,7 @@ from objectflow.networks import SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
 from objectflow.networks.weights import load_network
 from objectflow.training.adapters import NetworkAdapter, RigidMatchAdapter, SceneFlowNetAdapter
-from objectflow.training.model_config import RigidMatchConfig, SceneFlowNetConfig
+from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.parallel import Process, synchronize_batch_norm
 from objectflow.training.recipe import Recipe
 
@@ -37,10 +37,10 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
     generator = torch.Generator().manual_seed(recipe.seed)
     adapter: NetworkAdapter
     match recipe.model:
-        case SceneFlowNetConfig() as paper:
+        case SceneFlowNetModel() as paper:
             adapter = SceneFlowNetAdapter(_sceneflownet(paper, generator, backbone, start), paper)
             has_batch_norm = paper.network.trunk_norm == "batch"
-        case RigidMatchConfig() as rigid:
+        case RigidMatchModel() as rigid:
             adapter = RigidMatchAdapter(_rigidmatch(rigid, generator, backbone, start), rigid)
             has_batch_norm = True
     network = adapter.network
@@ -53,7 +53,7 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
 
 
 def _sceneflownet(
-    config: SceneFlowNetConfig, generator: torch.Generator, backbone: Path | None, start: Path | None
+    config: SceneFlowNetModel, generator: torch.Generator, backbone: Path | None, start: Path | None
 ) -> SceneFlowNet:
     if start is not None:
         network, _ = load_network(start, settings=config.network)
@@ -65,7 +65,7 @@ def _sceneflownet(
 
 
 def _rigidmatch(
-    config: RigidMatchConfig, generator: torch.Generator, backbone: Path | None, start: Path | None
+    config: RigidMatchModel, generator: torch.Generator, backbone: Path | None, start: Path | None
 ) -> RigidMatch:
     if start is not None:
         network, _ = load_network(start, settings=config.network)
