@@ -14,17 +14,17 @@ from objectflow.typing import Float32Array
 
 
 def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
-    """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN on holes and across depth edges.
+    """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN at holes and depth edges.
 
-    A linear function is fitted to the inverse depth of 5x5 valid neighbours by box sums: inverse depth is linear in
-    pixels on a plane.
+    A linear function is fitted to the inverse depth of each fully valid 5x5 window by box sums, since the inverse
+    depth of a plane is linear in pixel coordinates.
     """
     valid = (depth > 0).astype(np.float32)
     inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     size = (5, 5)
     near = cv2.erode(np.where(depth > 0, depth, np.inf).astype(np.float32), np.ones(size))
     far = cv2.dilate(depth, np.ones(size))
-    # Depth also changes over five pixels of a tilted surface: 4 % is a tilt of 75 degrees for a common lens.
+    # A tilted surface also changes depth over five pixels: 4 % is a tilt of 75 degrees for a typical lens.
     smooth = (far - near < 0.04 * depth + 0.01) & (cv2.boxFilter(valid, -1, size) > 0.99) & (depth > 0)
     kernel = np.arange(-2, 3, dtype=np.float32)
     ones = np.ones(5, np.float32)
@@ -36,5 +36,5 @@ def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     c = cv2.boxFilter(inverse, -1, size) - a * rays[..., 0] - b * rays[..., 1]
     normals = -np.stack([a, b, c], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
-    smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window leaves the image there
+    smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window exceeds the image here
     return np.where(smooth[..., None], normals, np.float32(np.nan)).astype(np.float32)

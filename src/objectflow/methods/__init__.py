@@ -1,1 +1,1 @@
-"""Every method that turns two frames into moving objects."""
+"""Methods that estimate moving objects from two frames."""

@@ -1,4 +1,4 @@
-"""Where a method's weights are: in a file or folder that the user names, in the package, or on the hub."""
+"""Locating a method's weights: in a given file or folder, in the package, or on the hub."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from pathlib import Path
 from objectflow.errors import MethodError, MissingExtraError
 
 HUB = "hf://"
-"""`hf://OWNER/NAME` or `hf://OWNER/NAME@REVISION` names a repository on the hub that holds `<method>.safetensors`."""
+"""Prefix of hub repositories with `<method>.safetensors`: `hf://OWNER/NAME` or `hf://OWNER/NAME@REVISION`."""
 FOLDER_VARIABLE = "OBJECTFLOW_WEIGHTS"
-"""An environment variable: a folder that is searched where the package has no weights of a method."""
+"""Environment variable: a folder that is searched if the package has no weights for a method."""
 HUB_VARIABLE = "OBJECTFLOW_HUB"
-"""An environment variable: the repository, OWNER/NAME, that is asked last."""
+"""Environment variable: the hub repository, OWNER/NAME, that is searched last."""
 _PATIENCE = 10
-"""Seconds to wait for the hub's answer."""
+"""Timeout of a connection to the hub in seconds."""
 TRAINED = "weights.safetensors"
-"""What training writes into its output folder, and into each checkpoint."""
+"""Name of the weights file that training writes into its output folder and into each checkpoint."""
 
 
 def find_weights(method: str, given: str | Path | None = None) -> Path:
-    """The file of a method's weights.
+    """Find the file with a method's weights.
 
     Args:
-        method: its name.
-        given: a file; a folder with `<method>.safetensors` or one that training wrote; or `hf://OWNER/NAME`. None: the
-            packaged file, else the one in the folder that `OBJECTFLOW_WEIGHTS` names, else the hub's repository that
-            `OBJECTFLOW_HUB` names.
+        method: the method's name.
+        given: a file; a folder with `<method>.safetensors`, or written by training; or `hf://OWNER/NAME`. If None, the
+            packaged file, else the file in the folder `OBJECTFLOW_WEIGHTS`, else the file in the hub repository
+            `OBJECTFLOW_HUB`.
 
     Raises:
-        MethodError: there are none; the message says how to get some.
-        MissingExtraError: the hub is asked without its library.
+        MethodError: no weights were found; the message explains how to obtain them.
+        MissingExtraError: the hub is needed but its library is not installed.
     """
     if given is not None:
         if str(given).startswith(HUB):
@@ -49,19 +49,19 @@ def find_weights(method: str, given: str | Path | None = None) -> Path:
     if repository := os.environ.get(HUB_VARIABLE):
         return _from_hub(repository, method)
     raise MethodError(
-        f"no weights for {method} in this installation: train some (objectflow train) and name their file or folder, "
-        f"or a hub repository {HUB}OWNER/NAME (--weights, or weights= in Python); the repository's folder weights has "
-        "some of the paper's network"
+        f"no weights for {method} in this installation: train the method (objectflow train), then pass the file or "
+        f"folder, or a hub repository {HUB}OWNER/NAME (--weights, or weights= in Python); some weights of the "
+        "paper's network are in the folder weights of the source repository"
     )
 
 
 def packaged_folder() -> Path:
-    """Where released weights lie inside the package."""
+    """Folder of the released weights inside the package."""
     return Path(str(resources.files("objectflow"))) / "weights"
 
 
 def packaged_weights() -> list[Path]:
-    """The released weights in this installation, by name."""
+    """Released weights in this installation, sorted by name."""
     return sorted(packaged_folder().glob("*.safetensors"))
 
 
@@ -78,7 +78,7 @@ def _from_disk(path: Path, method: str) -> Path:
 
 
 def _from_hub(repository: str, method: str) -> Path:
-    """Download into the hub library's own cache, or find it there where there is no connection."""
+    """Download the weights into the hub library's cache, or use the cached file if the hub cannot be reached."""
     try:
         import huggingface_hub
     except ImportError as error:
@@ -86,13 +86,13 @@ def _from_hub(repository: str, method: str) -> Path:
             f'weights from {HUB}{repository} need huggingface_hub: pip install "objectflow[hub]", or name a file'
         ) from error
     name, _, revision = repository.partition("@")
-    # Asked without a connection, the library would try again and again, and tell of each time.
+    # Without a connection, the library would retry several times and print a message each time.
     offline = _unreachable(huggingface_hub.constants.ENDPOINT)
     try:
         path = huggingface_hub.hf_hub_download(
             name, f"{method}.safetensors", revision=revision or None, local_files_only=offline is not None
         )
-    # The library raises errors of its own, of its HTTP library and of the disk, with other parents in every version.
+    # The library raises its own, HTTP and file system errors, whose base classes differ between versions.
     except Exception as error:
         reason = offline or (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(".")
         raise MethodError(
@@ -102,7 +102,7 @@ def _from_hub(repository: str, method: str) -> Path:
 
 
 def _unreachable(address: str) -> str | None:
-    """Why a server cannot be reached; None where it answers, whatever it says."""
+    """Return why a server cannot be reached, or None if it responds with any HTTP status."""
     try:
         urllib.request.urlopen(urllib.request.Request(address, method="HEAD"), timeout=_PATIENCE).close()
     except urllib.error.HTTPError:

@@ -1,1 +1,1 @@
-"""The training-free estimator, one step a file: background, proposals, assignment, and the whole in `estimator`."""
+"""The training-free estimator, one step per module (background, proposals, assignment); `estimator` combines them."""

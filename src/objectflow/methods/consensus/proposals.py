@@ -1,4 +1,4 @@
-"""Proposals: rigid motions of groups of matches that keep their mutual distances."""
+"""Proposals: rigid motions of groups of matches whose mutual distances are preserved."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from objectflow.typing import BoolMask, Float64Array
 
 @dataclass(frozen=True)
 class ProposalSettings(Settings):
-    """How many motions are proposed, and from what."""
+    """Settings of `propose`."""
 
     max_motions: int = setting(24, minimum=1)
     """Maximum number of proposed motions."""
     min_support: int = setting(6, minimum=3)
-    """Minimum number of matches that follow a motion."""
+    """Minimum number of inlier matches of a motion."""
     max_matches: int = setting(700, minimum=3)
-    """Maximum number of matches; more are thinned at random, since the compatibility table is quadratic."""
+    """Maximum number of matches; more are subsampled at random, since the compatibility table is quadratic."""
     reach_base: float = setting(0.05, minimum=0)
-    """Metres: largest distance between two matches of one motion, at depth 0."""
+    """Maximum distance in metres between two matches of one motion, at depth 0."""
     reach_slope: float = setting(0.35, minimum=0)
-    """Growth of that distance with the median depth."""
+    """Increase of that distance per metre of median depth."""
 
 
 DEFAULTS = ProposalSettings()
 
 
 class Proposal(NamedTuple):
-    """A motion and the matches that follow it."""
+    """A motion and its inlier matches."""
 
     prev_T_curr: Float64Array
     matches: PixelMatches
@@ -50,17 +50,17 @@ def propose(
     noise: DepthNoise,
     settings: ProposalSettings = DEFAULTS,
 ) -> list[Proposal]:
-    """Greedy maximum coverage: repeatedly the motion that explains most of the remaining matches.
+    """Propose motions by greedy maximum coverage: repeatedly the motion with most inliers among remaining matches.
 
-    Every match proposes one motion, the fit to those neighbours whose distance to it is the same in both frames, since
-    a rigid motion keeps distances (the consistency of SF2SE3, GCPR 2022, section 3.2).
+    Each match yields one candidate, fitted to the neighbours whose distance to it is equal in both frames, since a
+    rigid motion preserves distances (the consistency criterion of SF2SE3, GCPR 2022, section 3.2).
 
     Args:
-        matches: those that do not follow the background.
+        matches: matches that are not inliers of the background's motion.
         camera: converts the matching error to metres.
-        rng: thins the matches where there are too many.
-        noise: of the depth.
-        settings: see there.
+        rng: subsamples the matches if there are more than `max_matches`.
+        noise: depth noise model.
+        settings: the settings.
     """
     if len(matches.curr) > settings.max_matches:
         matches = matches[np.sort(rng.permutation(len(matches.curr))[: settings.max_matches])]
@@ -70,7 +70,7 @@ def propose(
         follows, scores = _candidates(left, camera, noise, settings)
         if len(scores) == 0 or scores.max() < settings.min_support:
             break
-        # One table serves several motions whose inliers do not overlap.
+        # Several motions are taken from one table if their inliers do not overlap.
         free = np.ones(len(left.curr), bool)
         taken_here = 0
         for index in np.argsort(-scores):
@@ -95,7 +95,7 @@ def propose(
 def _candidates(
     matches: PixelMatches, camera: Camera, noise: DepthNoise, settings: ProposalSettings
 ) -> tuple[BoolMask, Float64Array]:
-    """One motion per match: (K, N) bool, its inliers, and (K,) their number, weighted by how well they fit."""
+    """Fit one motion per match: (K, N) bool inliers, and (K,) their number weighted by the quality of fit."""
     curr, prev = matches.curr.astype(np.float64), matches.prev.astype(np.float64)
     sigma = noise.match_sigma(matches.curr[:, 2], camera).astype(np.float64)
     near = _distances(curr)
@@ -116,7 +116,7 @@ def _candidates(
 
 
 def _fit_all(weights: Float64Array, curr: Float64Array, prev: Float64Array) -> tuple[Float64Array, BoolMask]:
-    """Weighted Kabsch of one point set under K weightings, by moments, without an array of shape (K, N, 3)."""
+    """Fit one point set under K weightings (Kabsch) from moments, which avoids an array of shape (K, N, 3)."""
     total = weights.sum(1, keepdims=True) + 1e-12
     w = weights / total
     p_mean, q_mean = w @ curr, w @ prev
@@ -129,11 +129,12 @@ def _fit_all(weights: Float64Array, curr: Float64Array, prev: Float64Array) -> t
 
 
 def _errors(motions: Float64Array, curr: Float64Array, prev: Float64Array) -> Float64Array:
-    """(K, N) distances of every match from its position under every motion."""
+    """(K, N) errors in metres of each match under each motion."""
     return np.sqrt(fitting.squared_errors(motions, curr, prev))
 
 
 def _distances(points: Float64Array) -> Float64Array:
+    """(N, 3) points -> (N, N) mutual distances in metres."""
     square = (points**2).sum(1)
     return np.asarray(np.sqrt(np.maximum(square[:, None] + square[None, :] - 2 * points @ points.T, 0)))
 
@@ -141,7 +142,7 @@ def _distances(points: Float64Array) -> Float64Array:
 def _explained(
     prev_T_curr: Float64Array, matches: PixelMatches, camera: Camera, noise: DepthNoise, members: PixelMatches
 ) -> BoolMask:
-    """(N,) bool: matches that a motion explains and that lie near one of its members."""
+    """(N,) bool: matches consistent with a motion and within 8 cm of one of its members."""
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
     gap = np.linalg.norm(matches.curr[:, None] - members.curr[None], axis=-1).min(1)

@@ -1,1 +1,1 @@
-"""The steps between a network's output and the result; `pipeline` is their order."""
+"""Postprocessing of a network's output, one step per module; `pipeline` defines their order."""

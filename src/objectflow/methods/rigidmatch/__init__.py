@@ -1,1 +1,1 @@
-"""The default method: the network RigidMatch and the steps around it."""
+"""The default method: the RigidMatch network with its decoding and postprocessing."""

@@ -1,4 +1,4 @@
-"""What a `RigidMatch` says about one pair -> labels and objects; shared by the estimator and by validation."""
+"""Decoding of `RigidMatch` outputs into labels and objects, used by the estimator and by validation."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, pixel_masks
 from objectflow.typing import Float32Array, LabelImage
 
 OBJECT_MASK_THRESHOLD = 0.1
-"""Least probability of being an object. So low, because two queries on one object share its probability, and because
-what overlaps and what does not move is sorted out afterwards; chosen on validation pairs and on real ones."""
+"""Minimum object probability, 0..1. It is low because two queries on one object share its probability and because
+overlapping and static objects are removed later; chosen on validation pairs and on real pairs."""
 OVERLAP_THRESHOLD = 0.5
-"""Least share of its mask that an object keeps where others claim the same pixels; with less it says what they say."""
+"""Minimum share of its mask, 0..1, that an object keeps where masks overlap; an object with less is removed."""
 MIN_PIXELS = 20
-"""Of the network's input; fewer are no object."""
+"""Minimum size of an object in pixels of the network's input."""
 
 
 def output_to_motion(
@@ -31,13 +31,13 @@ def output_to_motion(
     threshold: float = OBJECT_MASK_THRESHOLD,
     min_pixels: int = MIN_PIXELS,
 ) -> SceneMotion:
-    """Objects of one pair, on the pixels of the network's input, and the flow that their motions make.
+    """Decode one pair into objects and the scene flow of their motions, at the network's input resolution.
 
     Args:
-        output: of one pair, as `select` gives it.
+        output: the output for one pair, as returned by `select`.
         curr_points: (1, 3, H, W) metres, NaN where depth is missing.
-        threshold: least probability of being an object.
-        min_pixels: fewer are no object.
+        threshold: minimum object probability.
+        min_pixels: minimum size of an object in pixels.
     """
     height, width = curr_points.shape[-2:]
     labels, objects = decode(output, (height, width), threshold=threshold, min_pixels=min_pixels)
@@ -46,7 +46,7 @@ def output_to_motion(
 
 
 def select(output: RigidMatchOutput, index: int) -> RigidMatchOutput:
-    """One pair of a batch's output."""
+    """Select one pair from a batch's output."""
     batch_second = ("objectness", "masks")
     parts = {
         name: value[:, index : index + 1] if name in batch_second else value[index : index + 1]
@@ -63,41 +63,43 @@ def decode(
     threshold: float = OBJECT_MASK_THRESHOLD,
     min_pixels: int = MIN_PIXELS,
 ) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
-    """Each pixel goes to the object that claims it most (as MaskFormer, Cheng et al. 2021).
+    """Assign each pixel to its most probable object (as in MaskFormer, Cheng et al. 2021).
 
     Args:
-        output: of one pair.
+        output: the output for one pair.
         size: (H, W) of the network's input.
-        threshold: least probability of being an object.
-        min_pixels: fewer are no object.
+        threshold: minimum object probability.
+        min_pixels: minimum size of an object in pixels.
 
     Returns:
-        (H, W) int32 labels, 0 = background, and an object for each.
+        (H, W) int32 labels, 0 = background, and one object per label.
 
     Raises:
-        MethodError: more than one pair.
+        MethodError: the output has more than one pair.
     """
     if output.moves.shape[0] != 1:
-        raise MethodError(f"one pair's output is needed, not {output.moves.shape[0]}: take one by select")
-    sure = output.objectness[-1, 0].sigmoid()
-    kept = torch.nonzero(sure > threshold)[:, 0]
+        raise MethodError(
+            f"decoding needs the output for one pair, not for {output.moves.shape[0]}: choose one with select()"
+        )
+    probability = output.objectness[-1, 0].sigmoid()
+    kept = torch.nonzero(probability > threshold)[:, 0]
     if not len(kept):
         return np.zeros(size, np.int32), ()
     logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
-    claim = logits[0, :, : size[0], : size[1]].sigmoid()
-    won, counts, left = resolve_overlaps(claim.flatten(1), sure[kept], min_pixels)
+    masks = logits[0, :, : size[0], : size[1]].sigmoid()
+    won, counts, left = resolve_overlaps(masks.flatten(1), probability[kept], min_pixels)
     if not len(left):
         return np.zeros(size, np.int32), ()
     kept = kept[left]
     labels = won.reshape(size).to(torch.int32).cpu().numpy()
     R, t, center, moves, score = (
-        one.double().cpu().numpy()
-        for one in (
+        values.double().cpu().numpy()
+        for values in (
             output.rotation[0, kept],
             output.translation[0, kept],
             output.anchors[0, kept, :3],
             output.moves[0, kept].sigmoid(),
-            sure[kept],
+            probability[kept],
         )
     )
     transforms = geometry.make_transform(R, t)
@@ -116,54 +118,54 @@ def decode(
 
 
 def resolve_overlaps(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[int], Tensor]:
-    """Give pixels to masks until every mask that is left keeps enough of its own.
+    """Assign pixels to masks, and remove masks until each remaining mask keeps enough of its pixels.
 
     Args:
-        claim: (K, P) each mask's probability at each pixel.
-        sure: (K,) probability of being an object.
-        least: pixels that a mask has to win.
+        claim: (K, P) mask probability per pixel.
+        sure: (K,) object probability.
+        least: minimum number of pixels assigned to a mask.
 
     Returns:
-        (P,) the number from 1 of the winner among the masks left, 0 where it claims less than half; how many pixels
-        each has; and which masks are left.
+        (P,) number from 1 of the pixel's mask among the remaining masks, 0 where the mask probability is at most 0.5;
+        the number of pixels of each remaining mask; the indices of the remaining masks.
     """
-    mine = claim > 0.5
-    areas = mine.sum(1).cpu().numpy()
-    bids = claim * sure[:, None]
-    winner = bids.argmax(dim=0)
-    out = np.zeros(len(claim), bool)
+    inside = claim > 0.5
+    areas = inside.sum(1).cpu().numpy()
+    scores = claim * sure[:, None]
+    winner = scores.argmax(dim=0)
+    removed = np.zeros(len(claim), bool)
     while True:
-        won = mine.gather(0, winner[None])[0]
+        won = inside.gather(0, winner[None])[0]
         counts = torch.bincount(winner[won], minlength=len(claim)).cpu().numpy()
         share = counts / np.maximum(areas, 1)
-        weak = ~out & ((counts < least) | (counts < OVERLAP_THRESHOLD * areas))
+        weak = ~removed & ((counts < least) | (counts < OVERLAP_THRESHOLD * areas))
         if not weak.any():
             break
-        # The weakest goes first: its pixels may make another whole.
+        # The mask with the smallest share is removed first, since its pixels may raise the share of another mask.
         worst = int(np.where(weak, share, 2.0).argmin())
-        out[worst] = True
-        if out.all():
+        removed[worst] = True
+        if removed.all():
             break
-        bids[worst] = -1
+        scores[worst] = -1
         free = torch.nonzero(winner == worst)[:, 0]
-        winner[free] = bids[:, free].argmax(dim=0)
-    left = torch.from_numpy(np.flatnonzero(~out)).to(claim.device)
+        winner[free] = scores[:, free].argmax(dim=0)
+    left = torch.from_numpy(np.flatnonzero(~removed)).to(claim.device)
     number = torch.zeros(len(claim), dtype=torch.long, device=claim.device)
     number[left] = torch.arange(1, len(left) + 1, device=claim.device)
-    return torch.where(won, number[winner], 0), counts[~out].tolist(), left
+    return torch.where(won, number[winner], 0), counts[~removed].tolist(), left
 
 
 @torch.no_grad()
 def matched_flow(
     output: RigidMatchOutput, curr_points: Tensor, stride: int, labels: LabelImage, points: Float32Array
 ) -> Float32Array:
-    """The flow of each pixel's nearest match, before any solve.
+    """Compute the scene flow of each pixel's nearest match, without a rigid fit.
 
     Args:
-        output: of one pair.
-        curr_points: (1, 3, h, w) metres, what the network was shown.
-        stride: pixels a fine cell.
-        labels: (H, W) int32, at any size with the proportions of the network's input.
+        output: the output for one pair.
+        curr_points: (1, 3, h, w) metres, the network's input.
+        stride: pixels per fine cell.
+        labels: (H, W) int32, at any size with the aspect ratio of the network's input.
         points: (H, W, 3) metres, NaN where depth is missing.
 
     Returns:
@@ -174,8 +176,8 @@ def matched_flow(
     shift = (output.match[..., : own.shape[-2], : own.shape[-1]] - own)[0].permute(1, 2, 0).float().cpu().numpy()
     rows, columns = nearest_indices((height, width), labels.shape)
     rows, columns = (
-        np.minimum((one + stride // 2) // stride, most - 1)
-        for one, most in zip((rows, columns), shift.shape, strict=False)
+        np.minimum((index + stride // 2) // stride, length - 1)
+        for index, length in zip((rows, columns), shift.shape, strict=False)
     )
     flow = np.where(labels[..., None] > 0, shift[rows[:, None], columns], np.float32(0))
     return np.where(np.isnan(points), points, flow).astype(np.float32)

@@ -1,1 +1,1 @@
-"""The paper's method: SceneFlowNet, grouping and averaged rigid motions."""
+"""The paper's method: the SceneFlowNet network, grouping of pixels, and averaged rigid motions."""

@@ -1,4 +1,4 @@
-"""The '+Rig' step: one rigid motion an object, the mean of what its pixels predict (section V of the paper)."""
+"""The '+Rig' step: one rigid motion per object, the mean of its pixels' predictions (section V of the paper)."""
 
 from __future__ import annotations
 
@@ -23,46 +23,48 @@ def average_motions(
     confidence: NDArray[Any],
     still: float = STATIC_DISPLACEMENT,
 ) -> tuple[ObjectMotion, ...]:
-    """Average X, T and the rotation over each object's pixels.
+    """Average X, T and the rotation over the pixels of each object.
 
     Args:
         labels: (H, W) int32, 0 = background.
         rotation: (H, W, 3) axis-angle in radians, from `curr` to `prev`.
         translation, center: (H, W, 3) metres: T and X.
-        confidence: (H, W) 0..1, such as the mask's probability of foreground; its mean is an object's score.
-        still: metres; an object moves if its centre does by more, or a point 5 cm off, a small object's radius, by
-            its rotation.
+        confidence: (H, W) 0..1, for example the foreground probability; an object's score is its mean.
+        still: displacement threshold in metres. An object moves if the displacement of its centre exceeds it, or the
+            displacement by rotation of a point 5 cm (the radius of a small object) from the centre does.
 
     Returns:
-        An object for each label that occurs, by rising label. The flow of its pixels is
-        `geometry.flow_from_motions` of their `prev_T_curr`.
+        One object per label, in ascending order. The flow of its pixels is `geometry.flow_from_motions` of its
+        `prev_T_curr`.
 
     Raises:
-        GeometryError: maps of different sizes, or labelled pixels whose prediction is not finite.
+        GeometryError: the sizes of the maps differ, or the prediction at a labelled pixel is not finite.
     """
     shape = (*labels.shape, 3)
-    if any(one.shape != shape for one in (rotation, translation, center)) or confidence.shape != labels.shape:
-        raise GeometryError(f"averaging needs (H, W, 3) maps and an (H, W) confidence on labels {labels.shape}")
+    if any(values.shape != shape for values in (rotation, translation, center)) or confidence.shape != labels.shape:
+        raise GeometryError(f"averaging needs (H, W, 3) maps and (H, W) confidence of the labels' size {labels.shape}")
     inside = labels > 0
-    # Object after object, so that sums over them are sums over slices.
+    # Pixels are sorted by object, so that the sum over an object is the sum over a slice.
     owner = labels[inside]
     order = np.argsort(owner, kind="stable")
     ids, starts, counts = np.unique(owner[order], return_index=True, return_counts=True)
     if not len(ids):
         return ()
     vectors, shifts, centers = (
-        np.asarray(one[inside][order], dtype=np.float64) for one in (rotation, translation, center)
+        np.asarray(values[inside][order], dtype=np.float64) for values in (rotation, translation, center)
     )
-    sure = np.asarray(confidence[inside][order], dtype=np.float64)
+    probability = np.asarray(confidence[inside][order], dtype=np.float64)
     if not (np.isfinite(vectors).all() and np.isfinite(shifts).all() and np.isfinite(centers).all()):
-        raise GeometryError("averaging needs finite predictions on every labelled pixel: label the others 0")
+        raise GeometryError(
+            "averaging needs finite predictions at every labelled pixel: set the label of other pixels to 0"
+        )
 
     def mean(values: Float64Array) -> Float64Array:
         return np.asarray(np.add.reduceat(values, starts) / counts.reshape(-1, *[1] * (values.ndim - 1)))
 
     X, T = mean(centers), mean(shifts)
     R = mean_rotation(mean(geometry.so3_exp(vectors)))
-    score = np.clip(mean(sure), 0, 1)
+    score = np.clip(mean(probability), 0, 1)
     moving = is_moving(R, T, still)
     # P_prev = R (P - X) + X + T
     prev_T_curr = geometry.make_transform(R, X + T - (R @ X[..., None])[..., 0])
@@ -80,15 +82,15 @@ def average_motions(
 
 
 def mean_rotation(matrix_mean: Float64Array) -> Float64Array:
-    """The chordal mean of rotations from the mean of their matrices: the rotation nearest to it.
+    """Compute the chordal mean of rotations: the rotation nearest to the mean of their matrices.
 
-    It minimises the summed squared Frobenius distances (Hartley et al. 2013, section 5.1). Unlike a mean of axis-angle
-    vectors it does not depend on where those vectors wrap around, at half a turn.
+    It minimises the sum of squared Frobenius distances (Hartley et al. 2013, section 5.1). Unlike the mean of
+    axis-angle vectors, it is not affected by their wrap-around at 180 degrees.
 
     Args:
-        matrix_mean: (..., 3, 3), the elementwise mean (or sum) of rotation matrices.
+        matrix_mean: (..., 3, 3) elementwise mean (or sum) of rotation matrices.
 
     Returns:
-        (..., 3, 3) rotations. Where the rotations cancel out, one of the many minimisers.
+        (..., 3, 3) rotations. If the rotations cancel out, the minimiser is not unique and one of them is returned.
     """
     return geometry.nearest_rotation(matrix_mean)[0]

@@ -1,4 +1,4 @@
-"""Dense maps of one pair -> objects: grouped pixels, a rigid motion for each group, and the flow that follows."""
+"""Decoding of one pair's dense maps: grouping of pixels, one rigid motion per group, and scene flow."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ def decode(
     rigid: Literal["none", "average"] = "average",
     grouping: GroupingSettings | None = None,
 ) -> SceneMotion:
-    """What the maps of one pair say, on their own pixels.
+    """Decode the maps of one pair at their own resolution.
 
     Args:
         output: (1, C, H, W) on any device.
         curr_points: (1, 3, H, W) metres, NaN where depth is missing.
-        rigid: "none" takes each pixel's own flow (equation 1), "average" the one that its object's mean motion makes.
-        grouping: the defaults when None.
+        rigid: "none" uses each pixel's own flow (equation 1), "average" the flow of its object's mean motion.
+        grouping: settings; the defaults if None.
 
     Returns:
-        Labels, objects with their mean motions, and flow: 0 off the objects, NaN where depth is missing.
+        Labels, objects with their mean motions, and scene flow: 0 outside objects, NaN where depth is missing.
 
     Raises:
-        MethodError: more than one pair, points of another size, or another `rigid`.
+        MethodError: the batch has more than one pair, the sizes differ, or `rigid` is unknown.
     """
     if rigid not in ("none", "average"):
         raise MethodError(f"rigid must be none or average here, not {rigid!r}")
@@ -57,28 +57,28 @@ def decode(
 def label_pixels(output: SceneFlowNetOutput, grouping: GroupingSettings | None = None) -> LabelImage:
     """Group the foreground of one pair's maps in trajectory space; see `grouping.group`.
 
-    Pixels without depth take part: the network sees what lies around them.
+    Pixels without depth are included, since the network predicts their motion from the surrounding pixels.
 
     Returns:
         (H, W) int32, 0 = background.
     """
     grouping = grouping or GroupingSettings()
-    rotation, translation, center, mask, centrality, radius = (one[0].detach().float() for one in output)
+    rotation, translation, center, mask, centrality, radius = (prediction[0].detach().float() for prediction in output)
     feature = trajectory_feature(center, translation, rotation, grouping.rotation_weight)
     foreground = (mask[1] > mask[0]) & rotation.isfinite().all(dim=0)
     return group(feature, foreground, centrality[1] - centrality[0], radius[0], grouping).cpu().numpy()
 
 
 def average_objects(output: SceneFlowNetOutput, labels: LabelImage, measured: BoolMask) -> tuple[ObjectMotion, ...]:
-    """The mean motion of each label, over its pixels with depth; see `averaging.average_motions`.
+    """Average the motion of each label over its pixels with depth; see `averaging.average_motions`.
 
     Args:
         output: one pair's maps.
         labels: (H, W) int32, from `label_pixels`.
-        measured: (H, W) bool: where there is depth. X is a guess elsewhere.
+        measured: (H, W) bool, True where depth is valid. X is unreliable elsewhere.
 
     Returns:
-        An object for each label that has depth somewhere, its score the mean probability of foreground.
+        One object per label with at least one valid depth; its score is the mean foreground probability.
     """
     with torch.no_grad():
         confidence = (output.mask[0, 1] - output.mask[0, 0]).float().sigmoid().cpu().numpy()
@@ -92,10 +92,10 @@ def average_objects(output: SceneFlowNetOutput, labels: LabelImage, measured: Bo
 
 
 def pixel_flow(output: SceneFlowNetOutput, labels: LabelImage, points: Float32Array) -> Float32Array:
-    """Equation 1 with each pixel's own Q, T and X: the network's flow before any averaging.
+    """Compute scene flow from each pixel's own Q, T and X (equation 1), without averaging.
 
     Args:
-        output: one pair's maps, at any size: each pixel takes the nearest prediction.
+        output: one pair's maps at any size; each pixel uses the nearest prediction.
         labels: (H, W) int32.
         points: (H, W, 3) metres, NaN where depth is missing.
 
@@ -106,13 +106,13 @@ def pixel_flow(output: SceneFlowNetOutput, labels: LabelImage, points: Float32Ar
     y, x = np.nonzero(labels)
     index = torch.from_numpy(rows[y] * output.mask.shape[-1] + columns[x])
     with torch.no_grad():
-        Q, T, X = (one.float().flatten(2).cpu()[..., index] for one in output[:3])
+        Q, T, X = (prediction.float().flatten(2).cpu()[..., index] for prediction in output[:3])
         moved = scene_flow(Q, T, X, torch.from_numpy(points[y, x].T[None].copy()))
     flow = np.where(np.isnan(points), points, np.float32(0))
     flow[y, x] = moved[0].T.numpy()
     return flow
 
 
-def _array(one: Tensor) -> NDArray[Any]:
+def _array(maps: Tensor) -> NDArray[Any]:
     """(1, 3, H, W) -> (H, W, 3)."""
-    return one[0].detach().permute(1, 2, 0).float().cpu().numpy()
+    return maps[0].detach().permute(1, 2, 0).float().cpu().numpy()

@@ -1,4 +1,4 @@
-"""Dense maps -> labels: the paper's greedy spheres in trajectory space (section III-B)."""
+"""Grouping of dense maps into labels by greedy spheres in trajectory space (section III-B of the paper)."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from torch import Tensor
 from objectflow.errors import MethodError
 
 _COMPACT = 0.8
-"""Assigned pixels are dropped from the arrays once no more than this share of them is left unassigned."""
+"""Maximum share of unassigned pixels, 0..1, at which assigned pixels are removed from the arrays."""
 DIRECT_PIXELS = 1024
-"""Number of unassigned pixels at which all mutual distances are computed at once, in one or two megabytes."""
+"""Maximum number of unassigned pixels whose mutual distances are computed at once, in one or two megabytes."""
 
 
 @dataclass(frozen=True)
 class GroupingSettings:
-    """How pixels become objects.
+    """Settings of `group`.
 
     Raises:
-        MethodError: a negative number, or no seed at all.
+        MethodError: `rotation_weight` is negative or not finite, or `min_pixels` or `max_seeds` is below 1.
     """
 
     rotation_weight: float = 0.0
-    """Metres a radian: rotation joins the trajectory feature with this weight. 0 is the paper's method; its discussion
-    proposes the other, which tells objects on one path apart that turn differently."""
+    """Weight of rotation in the trajectory feature, in metres per radian. 0 is the paper's method; a positive weight,
+    proposed in its discussion, separates objects that share a path but differ in rotation."""
     min_pixels: int = 20
-    """Groups of fewer pixels are leftovers and join the nearest object."""
+    """Minimum number of pixels of an object; pixels of smaller groups join the nearest object."""
     max_seeds: int = 1000
-    """What is unassigned after so many spheres is leftover too: keeps noise from taking for ever."""
+    """Maximum number of spheres, which bounds the run time on noise; the remaining pixels join the nearest object."""
 
     def __post_init__(self) -> None:
-        # Written so that NaN fails too.
+        # The comparison is written so that NaN fails too.
         if not 0 <= self.rotation_weight < float("inf"):
             raise MethodError(f"grouping setting rotation_weight must be finite and >= 0, not {self.rotation_weight}")
         if self.min_pixels < 1 or self.max_seeds < 1:
@@ -41,12 +41,12 @@ class GroupingSettings:
 
 
 def trajectory_feature(center: Tensor, translation: Tensor, rotation: Tensor, rotation_weight: float = 0.0) -> Tensor:
-    """What pixels of one object share: xi = [X, X + T], and with a weight also the rotation.
+    """Compute the feature that pixels of one object share: xi = [X, X + T], optionally with the weighted rotation.
 
     Args:
         center, translation: (..., 3, H, W) metres.
         rotation: (..., 3, H, W) axis-angle in radians.
-        rotation_weight: metres a radian; 0 leaves rotation out.
+        rotation_weight: metres per radian; 0 omits the rotation.
 
     Returns:
         (..., 6, H, W) metres, or (..., 9, H, W).
@@ -60,37 +60,37 @@ def trajectory_feature(center: Tensor, translation: Tensor, rotation: Tensor, ro
 def group(
     feature: Tensor, foreground: Tensor, centrality: Tensor, radius: Tensor, settings: GroupingSettings | None = None
 ) -> Tensor:
-    """Assign foreground pixels to objects, one sphere after the other.
+    """Assign foreground pixels to objects, one sphere at a time.
 
-    The unassigned foreground pixel of the largest eta is the seed (the first in reading order among equals); every
-    unassigned foreground pixel whose feature lies closer to the seed's than the seed's B joins it; repeat. Groups of
-    fewer than `min_pixels` then join the object whose mean feature is nearest. The maps are read without gradient.
+    The seed is the unassigned foreground pixel with the largest eta (the first in row-major order among equals). Every
+    unassigned foreground pixel joins it if the distance of their features is below the seed's B. This repeats; then
+    the pixels of groups below `min_pixels` join the object with the nearest mean feature. No gradient is computed.
 
     Args:
-        feature: (D, H, W) metres, from `trajectory_feature`; D is 6 or 9 but may be anything.
-        foreground: (H, W) bool. Pixels whose feature, eta or B is not finite are left out of it.
-        centrality: (H, W) eta; only its order counts, so a difference of logits does.
+        feature: (D, H, W) metres, from `trajectory_feature`; D is usually 6 or 9.
+        foreground: (H, W) bool. Pixels whose feature, eta or B is not finite are ignored.
+        centrality: (H, W) eta; only its order matters, so a difference of logits suffices.
         radius: (H, W) metres, B.
-        settings: the defaults when None.
+        settings: the defaults if None.
 
     Returns:
-        (H, W) int32 on the maps' device: 0 = background, 1..K in the order of the seeds. All 0 where no group is large
-        enough to be an object.
+        (H, W) int32 on the maps' device: 0 = background, 1..K in the order of the seeds. All 0 if no group has
+        `min_pixels`.
 
     Raises:
-        MethodError: maps of different sizes, or a foreground that is not bool.
+        MethodError: the sizes of the maps differ, or the foreground is not bool.
     """
     settings = settings or GroupingSettings()
     size = foreground.shape
     if feature.ndim != 3 or {feature.shape[1:], centrality.shape, radius.shape} != {size}:
-        shapes = ", ".join(str(tuple(one.shape)) for one in (feature, foreground, centrality, radius))
+        shapes = ", ".join(str(tuple(values.shape)) for values in (feature, foreground, centrality, radius))
         raise MethodError(f"grouping needs maps (D, H, W), (H, W), (H, W), (H, W) of one size, not {shapes}")
     if foreground.dtype != torch.bool:
         raise MethodError(f"grouping needs a bool foreground, not {foreground.dtype}: compare the logits first")
     with torch.no_grad():
         usable = foreground & feature.isfinite().all(dim=0) & centrality.isfinite() & radius.isfinite()
         pixels = usable.flatten().nonzero()[:, 0]
-        # By falling eta, the next seed is always the first pixel that is left.
+        # In descending order of eta, the next seed is always the first unassigned pixel.
         order = centrality.flatten()[pixels].argsort(descending=True, stable=True)
         pixels = pixels[order]
         points = feature.flatten(1)[:, pixels]
@@ -101,10 +101,10 @@ def group(
 
 
 def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
-    """The greedy spheres: (D, N) and (N,) in the seeds' order -> (N,) int64 groups from 1; 0 = not reached."""
+    """Greedy spheres: (D, N) and (N,) in the order of seeds -> (N,) int64 groups from 1; 0 = unassigned."""
     groups = torch.zeros(points.shape[1], dtype=torch.int64, device=points.device)
     place = torch.arange(points.shape[1], device=points.device)
-    # The square of B keeps a B below 0 from reaching anywhere.
+    # Without the clamp, the square of a negative B would be a positive radius.
     reach = radius.clamp_min(0).square()
     left, free, first = points, torch.ones_like(groups, dtype=torch.bool), 0
     for seed in range(1, max_seeds + 1):
@@ -114,7 +114,7 @@ def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
             break
         inside = _squared_distance(left, left[:, first : first + 1]) < reach[place[first]]
         inside &= free
-        inside[first] = True  # whatever its radius, or the loop would not end
+        inside[first] = True  # even if its radius is 0, since the loop would not end otherwise
         groups[place[inside]] = seed
         free &= ~inside
         if int(free.sum()) <= _COMPACT * free.numel():
@@ -127,9 +127,9 @@ def _spheres(points: Tensor, radius: Tensor, max_seeds: int) -> Tensor:
 
 
 def _few_spheres(points: Tensor, reach: Tensor, seed: int, max_seeds: int) -> Tensor:
-    """The same rule with all distances found at once, which starts the many spheres of strays faster.
+    """Apply the rule of `_spheres` with all distances computed at once, which is faster for many small spheres.
 
-    (D, M), (M,) squared radii and the number of the next group -> (M,) int64 groups; 0 = not reached.
+    (D, M), (M,) squared radii and the number of the next group -> (M,) int64 groups; 0 = unassigned.
     """
     distance = _squared_distance(points[:, None, :], points[:, :, None])
     near = (distance < reach[:, None]).cpu().numpy()
@@ -148,7 +148,7 @@ def _few_spheres(points: Tensor, reach: Tensor, seed: int, max_seeds: int) -> Te
 
 
 def _squared_distance(points: Tensor, center: Tensor) -> Tensor:
-    """(D, ...) and (D, ...) that broadcast -> (...), axis by axis: no array as large as the points is made."""
+    """(D, ...) and (D, ...), broadcast -> (...); summed axis by axis to avoid a (D, ...) temporary."""
     out = (points[0] - center[0]).square_()
     for axis in range(1, points.shape[0]):
         difference = points[axis] - center[axis]
@@ -160,7 +160,7 @@ def _join_leftovers(points: Tensor, groups: Tensor, min_pixels: int) -> Tensor:
     """(D, N) and (N,) groups -> (N,) int32 labels 1..K of the large groups; other pixels join the nearest."""
     counts = groups.bincount(minlength=1)
     large = counts >= min_pixels
-    large[0] = False  # pixels that no sphere reached
+    large[0] = False  # unassigned pixels
     if not bool(large.any()):
         return torch.zeros_like(groups, dtype=torch.int32)
     number = torch.where(large, large.cumsum(0), 0)

@@ -13,7 +13,7 @@ from objectflow.networks.rigidmatch.inputs import as_map
 _WAVES = 6
 """Number of octaves per coordinate."""
 _LONGEST = 4.0
-"""Longest wavelength in metres; the shortest is a 32nd of it, 12.5 cm."""
+"""Longest wavelength in metres; the shortest is 1/32 of it, 12.5 cm."""
 
 
 class Positions(nn.Module):
@@ -43,7 +43,7 @@ class Attention(nn.Module):
     def forward(self, x: Tensor, position: Tensor, keys: Tensor, values: Tensor, bias: Tensor | None = None) -> Tensor:
         """Attend from (B, N, C) to (B, M, C); `bias` (B, 1, N, M) is added to the logits."""
         parts = (self.query(self.norm(x) + position), self.key(keys), self.value(values))
-        query, key, value = (one.reshape(*one.shape[:2], self.heads, -1).transpose(1, 2) for one in parts)
+        query, key, value = (part.reshape(*part.shape[:2], self.heads, -1).transpose(1, 2) for part in parts)
         found = F.scaled_dot_product_attention(query, key, value, attn_mask=None if bias is None else bias.to(query))
         out: Tensor = x + self.out(found.transpose(1, 2).flatten(2))
         return out
@@ -75,12 +75,12 @@ class FrameAttention(nn.Module):
         self.norms = nn.ModuleList(nn.LayerNorm(channels) for _ in range(layers))
 
     def forward(self, tokens: Tensor, position: Tensor, size: tuple[int, int]) -> Tensor:
-        """(2 B, N, C) tokens, current frames first, with their position embeddings; `size` is (h, w)."""
+        """Apply the layers to (2 B, N, C) tokens, current frames first, with position embeddings; `size` is (h, w)."""
         for index, (attention, feed, norm) in enumerate(zip(self.attentions, self.feeds, self.norms, strict=True)):
             values = norm(tokens)
             keys = values + position
             if index % 2:
-                keys, values = (torch.cat(one.chunk(2)[::-1]) for one in (keys, values))
+                keys, values = (torch.cat(tensor.chunk(2)[::-1]) for tensor in (keys, values))
             tokens = feed(attention(tokens, position, self._pool(keys, size), self._pool(values, size)))
         return tokens
 

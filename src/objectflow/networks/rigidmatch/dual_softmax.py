@@ -1,4 +1,4 @@
-"""Dual softmax over an N x M table of logits and expectations under it, in few passes over the table."""
+"""Expectations under the dual softmax of an N x M table of logits, in few passes over the table."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 _LEVEL = 30.0
-"""Offset subtracted from logits, which are at most about 90, so that exponentials and sums stay within float32."""
+"""Offset subtracted from logits of at most about 90, so that exponentials and their sums do not overflow float32."""
 _LEAST = 1e-30
+"""Lower bound of sums of exponentials, which avoids division by 0."""
 _ROWS = 128
-"""Rows per block when no table is wanted: few enough to stay in the processor's cache."""
+"""Rows per block in `dual_softmax_mean_of_product`; a block fits into the processor's cache."""
 
 
 def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums of values under the softmax over rows, with the dustbin as one more entry, times that of columns.
+    """Sum values weighted by the product of the softmax over rows, including a dustbin entry, and over columns.
 
     Args:
         scores: (B, N, M) logits, at most 100.
@@ -24,14 +25,14 @@ def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[
         values: (B, M, C).
 
     Returns:
-        (B, N, C) sums, not divided by the sum of the weights; (B, N) and (B, M) logarithms of the sums of exponentials
-        over rows, with the dustbin, and over columns.
+        (B, N, C) sums, not normalised by the sum of the weights; (B, N) log-sum-exp over rows, including the dustbin;
+        (B, M) log-sum-exp over columns.
     """
     if torch.is_grad_enabled() and (scores.requires_grad or values.requires_grad):
         sums, rows, columns = _DualSoftmaxMean.apply(scores, dustbin, values)  # type: ignore[no-untyped-call]
         return sums, rows, columns
     raised, row, column = _raise(scores, dustbin)
-    # Dividing the few values by the columns' sums saves a pass over the table.
+    # Dividing the values, not the table, by the sums of columns saves a pass over the table.
     by_row = (raised / row[:, :, None]).mul_(raised)
     return by_row @ (values / column[:, :, None]), row.log() + _LEVEL, column.log() + _LEVEL
 
@@ -39,7 +40,7 @@ def dual_softmax_mean(scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[
 def dual_softmax_mean_of_product(
     left: Tensor, right: Tensor, dustbin: Tensor, values: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The same for `scores = left @ right.mT`, block by block and without gradient: half the time and memory.
+    """Compute the same for `scores = left @ right.mT` in blocks and without gradient, in half the time and memory.
 
     Args:
         left: (B, N, K).
@@ -50,29 +51,29 @@ def dual_softmax_mean_of_product(
     raised = left.new_empty(len(left), left.shape[1], right.shape[1])
     column = left.new_zeros(len(left), right.shape[1])
     sums = []
-    for part, few in zip(torch.split(raised, _ROWS, 1), torch.split(left, _ROWS, 1), strict=True):
-        part.copy_((few @ across).sub_(_LEVEL).exp_())
+    for part, rows in zip(torch.split(raised, _ROWS, 1), torch.split(left, _ROWS, 1), strict=True):
+        part.copy_((rows @ across).sub_(_LEVEL).exp_())
         column += part.sum(1)
         sums.append(part.sum(2))
     row = (torch.cat(sums, dim=1) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
     column = column.clamp_min(_LEAST)
     shares = values / column[:, :, None]
     means = [
-        (part / whole[:, :, None]).mul_(part) @ shares
-        for part, whole in zip(torch.split(raised, _ROWS, 1), torch.split(row, _ROWS, 1), strict=True)
+        (part / total[:, :, None]).mul_(part) @ shares
+        for part, total in zip(torch.split(raised, _ROWS, 1), torch.split(row, _ROWS, 1), strict=True)
     ]
     return torch.cat(means, dim=1), row.log() + _LEVEL, column.log() + _LEVEL
 
 
 def _raise(scores: Tensor, dustbin: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Exponentials, and their sums over rows (with dustbin) and over columns, all over exp(_LEVEL)."""
+    """Exponentials and their sums over rows (with dustbin) and over columns, all divided by exp(_LEVEL)."""
     raised = torch.sub(scores, _LEVEL).exp_()
     row = (raised.sum(2) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
     return raised, row, raised.sum(1).clamp_min(_LEAST)
 
 
 class _DualSoftmaxMean(torch.autograd.Function):
-    """The same with an in-place backward pass: autograd needs three times as many passes over the table."""
+    """`dual_softmax_mean` with an in-place backward pass; autograd needs three times as many passes over the table."""
 
     @staticmethod
     def forward(ctx: Any, scores: Tensor, dustbin: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:

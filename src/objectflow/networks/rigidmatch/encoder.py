@@ -1,4 +1,4 @@
-"""Image encoder shared by both frames: ResNet-18 (He et al. 2016) without its last stage, on two grids."""
+"""Image encoder shared by both frames: ResNet-18 (He et al. 2016) without its last stage, with two output grids."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Block(nn.Module):
 
 
 def stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
-    """A sequence of blocks; the first has the stride."""
+    """Build a sequence of blocks; only the first is strided."""
     return nn.Sequential(Block(inputs, outputs, stride), *(Block(outputs, outputs) for _ in range(blocks - 1)))
 
 
 class Encoder(nn.Module):
-    """(B, 8, H, W) from `encode_inputs` -> features of the stem, the fine and the coarse grid."""
+    """(B, 8, H, W) from `encode_inputs` -> features of the stem, the fine grid and the coarse grid."""
 
     def __init__(self, settings: RigidMatchSettings) -> None:
         super().__init__()
@@ -49,10 +49,10 @@ class Encoder(nn.Module):
         self.lateral = nn.Conv2d(2 * coarse, coarse, 1)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """(B, stem_width, H / 2, W / 2), and (B, C, H / s, W / s) of the fine and the coarse stride s."""
+        """Return (B, stem_width, H / 2, W / 2) and, for the fine and the coarse stride s, (B, C, H / s, W / s)."""
         stem = self.stem(image)
         fine = self.fine(stem)
         coarse = self.coarse(fine)
-        # Context from a grid half as fine (Lin et al. 2017).
+        # Context is added from a grid of half the resolution, as in feature pyramids (Lin et al. 2017).
         around = F.interpolate(self.lateral(self.context(coarse)), scale_factor=2.0, mode="nearest")
         return stem, fine, coarse + around[..., : coarse.shape[-2], : coarse.shape[-1]]

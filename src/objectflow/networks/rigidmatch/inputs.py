@@ -1,4 +1,4 @@
-"""Input channels of the encoder (colour, inverse depth, validity, normals) and the points of the grids."""
+"""Input channels of the encoder (colour, inverse depth, validity, normals) and points of the feature grids."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from objectflow.networks.sceneflownet.network import fill_holes
 
 CHANNELS = 8
 _NEAR = 0.1
-"""Depth in metres below which inverse depth is clamped."""
+"""Minimum depth in metres; inverse depth is clamped below it."""
 
 
 class Grid(NamedTuple):
-    """The points of a grid's cells.
+    """Points of a grid's cells.
 
     Attributes:
-        points: (B, 3, h, w) metres; without depth, the mean of the nearest points.
-        valid: (B, 1, h, w) 1 where there is depth, else 0.
+        points: (B, 3, h, w) metres; the mean of the nearest points where depth is missing.
+        valid: (B, 1, h, w) 1 where depth is valid, else 0.
     """
 
     points: Tensor
@@ -28,15 +28,15 @@ class Grid(NamedTuple):
 
 
 def encode_inputs(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Make the encoder's eight channels of a frame, and its points.
+    """Compute the encoder's eight input channels and the points of a frame.
 
     Args:
         color: (B, 3, H, W) RGB in 0..1.
         points: (B, 3, H, W) metres, NaN where depth is missing.
-        multiple: images are padded with zeros at the right and the bottom to multiples of this.
+        multiple: images are padded with zeros at the right and bottom to a multiple of this size in pixels.
 
     Returns:
-        (B, 8, H', W') for the encoder; (B, 3, H', W') points with 0 where depth is missing; (B, 1, H', W') validity.
+        (B, 8, H', W') channels; (B, 3, H', W') points, 0 where depth is missing; (B, 1, H', W') validity.
     """
     safe, valid = clean_points(points)
     inverse = valid / safe[:, 2:].clamp_min(_NEAR)
@@ -47,14 +47,14 @@ def encode_inputs(color: Tensor, points: Tensor, multiple: int) -> tuple[Tensor,
 
 
 def clean_points(points: Tensor) -> tuple[Tensor, Tensor]:
-    """(B, 3, H, W) with NaN -> the same with 0, and (B, 1, H, W): 1 where there is a point, else 0."""
+    """(B, 3, H, W) points with NaN -> points with 0 instead, and (B, 1, H, W) validity: 1 with depth > 0, else 0."""
     finite = torch.isfinite(points).all(dim=1, keepdim=True)
     safe = torch.where(finite, points, torch.zeros_like(points))
     return safe, (safe[:, 2:] > 0).to(points.dtype)
 
 
 def normals(points: Tensor, valid: Tensor) -> Tensor:
-    """Unit normals toward the camera by central differences; 0 where a neighbour is missing and at the edge.
+    """Compute unit normals toward the camera by central differences; 0 at borders and missing neighbours.
 
     Args:
         points: (B, 3, H, W) metres.
@@ -70,9 +70,9 @@ def normals(points: Tensor, valid: Tensor) -> Tensor:
 
 
 def grid(points: Tensor, valid: Tensor, stride: int) -> Grid:
-    """The point of every `stride`-th pixel: means over cells would lie between surfaces."""
-    own, there = points[..., ::stride, ::stride], valid[..., ::stride, ::stride]
-    return Grid(fill_holes(own, there), there)
+    """Sample the point of every `stride`-th pixel, since means over cells would lie between surfaces."""
+    sampled, present = points[..., ::stride, ::stride], valid[..., ::stride, ::stride]
+    return Grid(fill_holes(sampled, present), present)
 
 
 def as_map(tokens: Tensor, size: tuple[int, int]) -> Tensor:
@@ -81,7 +81,7 @@ def as_map(tokens: Tensor, size: tuple[int, int]) -> Tensor:
 
 
 def cells(height: int, width: int, device: torch.device) -> Tensor:
-    """(2, h, w) float32: column and row of every cell."""
+    """Column and row of every cell: (2, h, w) float32."""
     row, column = torch.meshgrid(
         torch.arange(height, device=device, dtype=torch.float32),
         torch.arange(width, device=device, dtype=torch.float32),

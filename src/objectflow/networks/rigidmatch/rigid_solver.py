@@ -13,19 +13,19 @@ def solve_motions(
 ) -> tuple[Tensor, Tensor]:
     """Fit each object's rigid motion to its points and their matches.
 
-    Sums over points are matrix products of the weights with first and second moments in float64, so that no tensor
-    has objects, points and coordinates at once.
+    Sums over points are float64 matrix products of the weights with first and second moments, which avoids a tensor
+    over objects, points and coordinates.
 
     Args:
-        weights: (B, Q, N), not negative.
+        weights: (B, Q, N), non-negative.
         curr, prev: (B, N, 3) metres, finite.
-        votes: (B, Q, 6) metres, [X, X + T]: the motion where there are no matches.
-        prior: number of matches that the votes are worth; 0 is plain least squares.
-        arm: distance in metres from the centre of the points that hold the prior's rotation, the identity.
+        votes: (B, Q, 6) metres, [X, X + T]: the motion of the prior, which applies where there are no matches.
+        prior: weight of the votes in matches; 0 is plain least squares.
+        arm: lever arm in metres that weights the prior's rotation, the identity.
 
     Returns:
-        rotation (B, Q, 3, 3) and translation (B, Q, 3): P_prev = rotation P_curr + translation. Without weights and
-        prior a rotation is the identity, with gradient 0.
+        rotation (B, Q, 3, 3) and translation (B, Q, 3): P_prev = rotation P_curr + translation. If weights and
+        prior are 0, the rotation is the identity with gradient 0.
     """
     with torch.autocast(weights.device.type, enabled=False):
         w, p, q = weights.double(), curr.double(), prev.double()
@@ -45,7 +45,7 @@ def solve_motions(
 
 @torch.no_grad()
 def agreement(rotation: Tensor, translation: Tensor, curr: Tensor, prev: Tensor, scale: float) -> Tensor:
-    """Cauchy weights of matches under motions: `scale^2 / (scale^2 + error^2)`.
+    """Compute the Cauchy weights of matches under each motion: `scale^2 / (scale^2 + error^2)`.
 
     Args:
         rotation, translation: (B, Q, 3, 3) and (B, Q, 3).

@@ -1,4 +1,4 @@
-"""Seeds of queries: confident votes that lie apart from each other, chosen as the paper's spheres are."""
+"""Query seeds: confident votes far apart, chosen greedily like the spheres of the paper."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from torch import Tensor
 
 @torch.no_grad()
 def choose_seeds(votes: Tensor, confidence: Tensor, count: int, radius: float) -> Tensor:
-    """Choose seeds greedily: the most confident vote, which suppresses those around it, then the next.
+    """Choose seeds greedily: repeatedly take the most confident vote and suppress the votes around it.
 
     Args:
         votes: (B, N, D) metres.
-        confidence: (B, N), not negative.
+        confidence: (B, N), non-negative.
         count: number of seeds.
         radius: metres; a vote at distance d from a seed keeps 1 - exp(-d^2 / radius^2) of its confidence.
 
