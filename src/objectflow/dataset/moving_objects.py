@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from objectflow import geometry
 from objectflow.dataset.schema import PairRow
+from objectflow.geometry.moved import is_moving
 
 MIN_SHIFT, MIN_ROTATION = 0.002, np.radians(0.5)
 """Metres and radians: an object moves if its displacement or rotation in the world exceeds one of these. Generated
@@ -28,9 +28,9 @@ def has_moved(prev_pose: ArrayLike, curr_pose: ArrayLike, camera_motion: ArrayLi
         camera_motion: (4, 4) `prev_T_curr` of the world.
     """
     prev = np.asarray(prev_pose, dtype=np.float64)
-    still = np.asarray(camera_motion, dtype=np.float64) @ np.asarray(curr_pose, dtype=np.float64)
-    shift = float(np.linalg.norm(prev[:3, 3] - still[:3, 3]))
-    return shift > MIN_SHIFT or float(geometry.rotation_angle(prev[:3, :3] @ still[:3, :3].T)) > MIN_ROTATION
+    static = np.asarray(camera_motion, dtype=np.float64) @ np.asarray(curr_pose, dtype=np.float64)
+    rotation, shift = prev[:3, :3] @ static[:3, :3].T, prev[:3, 3] - static[:3, 3]
+    return bool(is_moving(rotation, shift, MIN_SHIFT, lever_arm=MIN_SHIFT / MIN_ROTATION))
 
 
 def moving_labels(row: PairRow) -> frozenset[int]:

@@ -7,7 +7,7 @@ import torch
 
 from objectflow.networks.rigidmatch.inputs import Grid, cells
 from objectflow.networks.rigidmatch.outputs import pixel_masks, upsampled_masks
-from objectflow.networks.rigidmatch.refinement import _update
+from objectflow.networks.rigidmatch.refinement import update_matches
 from objectflow.networks.rigidmatch.upsampling import mix_neighbors
 from objectflow.networks.rigidmatch.window_geometry import WindowGeometry
 
@@ -47,7 +47,7 @@ def test_an_update_is_the_expectation_over_its_window() -> None:
     prev = Grid(torch.rand(1, 3, height, width, generator=generator(8)), torch.ones(1, 1, height, width))
     prev.valid[..., 2, 3] = 0
     place = cells(height, width, torch.device("cpu"))[None] + torch.tensor([1.2, -0.9])[:, None, None]
-    logits, center, moved, point, peak = _update(one, other, prev, place, 1)
+    logits, center, moved, point, peak = update_matches(one, other, prev, place, 1)
     for row, column in np.ndindex(height, width):
         middle = (min(column + 1, width - 1), max(row - 1, 0))
         assert tuple(center[0, :, row, column].tolist()) == middle

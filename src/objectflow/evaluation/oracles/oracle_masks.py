@@ -14,15 +14,14 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import PixelMatches
 from objectflow.errors import ResultError
 from objectflow.evaluation.data.truth import MIN_DISPLACEMENT
-from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import resize_nearest
-from objectflow.methods.base import check_camera_option
+from objectflow.methods.base import PairEstimator, check_camera_option
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 
 @dataclass(frozen=True, eq=False)
-class OracleMasks:
+class OracleMasks(PairEstimator):
     """An estimator that is given the true labels of one pair, but no motions.
 
     Attributes:
@@ -40,15 +39,15 @@ class OracleMasks:
     def __post_init__(self) -> None:
         check_camera_option(self.camera)
 
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`.
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`.
 
         Raises:
             FrameError: frames that differ in size or intrinsics.
             ResultError: labels of another size than the frame.
         """
         start = time.perf_counter()
-        pair = FramePair(prev, curr)
+        curr = pair.curr.frame
         if self.labels.shape != curr.depth.shape:
             raise ResultError(f"true labels {self.labels.shape} do not match the frame {curr.depth.shape}")
         # 1. Match the frames, at the width of `consensus`.

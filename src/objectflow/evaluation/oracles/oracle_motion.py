@@ -9,10 +9,11 @@ import numpy as np
 import torch
 
 from objectflow import geometry
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.dataset.targets import RADIUS_ALONE
 from objectflow.errors import ResultError
 from objectflow.evaluation.data.truth import PairTruth
-from objectflow.frame import RgbdFrame, check_pair
+from objectflow.methods.base import PairEstimator
 from objectflow.methods.sceneflownet.averaging import average_motions
 from objectflow.methods.sceneflownet.grouping import GroupingSettings, group, trajectory_feature
 from objectflow.motion import SceneMotion
@@ -20,7 +21,7 @@ from objectflow.typing import Float32Array, Float64Array
 
 
 @dataclass(frozen=True, eq=False)
-class OracleMotion:
+class OracleMotion(PairEstimator):
     """An estimator whose dense maps (mask, X, T, R, eta, B) are the truth and whose labels are those of the grouping.
 
     Its errors are those of the grouping: objects with the same trajectory feature, and objects with fewer pixels than
@@ -36,19 +37,18 @@ class OracleMotion:
     background_prev_T_curr: Float64Array | None = None
     settings: GroupingSettings | None = None
 
-    def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        """See `Estimator`.
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`.
 
         Raises:
             FrameError: frames that differ in size or intrinsics.
             ResultError: a truth of another size than the frame.
         """
         start = time.perf_counter()
-        check_pair(prev, curr)
+        curr, points = pair.curr.frame, pair.curr.points
         true = self.truth.labels
         if true.shape != curr.depth.shape:
             raise ResultError(f"{self.truth.key}: the truth is {true.shape}, the frame {curr.depth.shape}")
-        points = geometry.back_project(curr.depth, curr.camera)
         # 1. The dense maps of a perfect network.
         center, translation, rotation, radius = self._maps()
         distance = np.linalg.norm(points - center, axis=-1)

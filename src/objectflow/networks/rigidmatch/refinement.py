@@ -101,7 +101,7 @@ class Refinement(nn.Module):
                 last = update == self.settings.updates - 1
                 # Updates before the last only move the window: they have no gradient.
                 with torch.set_grad_enabled(last and torch.is_grad_enabled()):
-                    logits, center, position, match, peak = _update(
+                    logits, center, position, match, peak = update_matches(
                         scale * one, other, prev, position.detach(), self.settings.window, self._scorer(context, match)
                     )
         return FineMatch(match, confidence, logits, center, peak)
@@ -114,7 +114,7 @@ class Refinement(nn.Module):
         return lambda logits, points: geometry(given, logits, points, reference)
 
 
-def _update(
+def update_matches(
     one: Tensor, other: Tensor, prev: Grid, position: Tensor, window: int, scorer: Scorer | None = None
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Logits, middle, expected position and point over a window around each position; and the largest probability.
