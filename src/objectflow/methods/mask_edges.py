@@ -2,17 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import nearest_indices
+from objectflow.settings import Settings, setting
 from objectflow.typing import LabelImage
 
 
+@dataclass(frozen=True)
+class MaskEdgeSettings(Settings):
+    """How similar a small pixel must be to give a pixel of the full image its label."""
+
+    depth_sigmas: float = setting(3.0, above=0)
+    """Scale of depth differences, in standard deviations of depth."""
+    extra_depth: float = setting(0.002, minimum=0)
+    """Metres added to that scale."""
+    color_scale: float = setting(20.0, above=0)
+    """Scale of colour differences, in grey levels."""
+    neighbour_weight: float = setting(0.6, minimum=0, maximum=1)
+    """Weight of the eight neighbours relative to the nearest small pixel."""
+    max_hole_share: float = setting(0.002, minimum=0, maximum=1)
+    """Share of the image up to which a hole in the depth inside one object is labelled."""
+
+
+DEFAULTS = MaskEdgeSettings()
+
+
 def upsample_labels(
-    labels: LabelImage, small: RgbdFrame, full: RgbdFrame, noise: DepthNoise = STRUCTURED_LIGHT
+    labels: LabelImage,
+    small: RgbdFrame,
+    full: RgbdFrame,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    settings: MaskEdgeSettings = DEFAULTS,
 ) -> LabelImage:
     """Upsample labels; near borders, each pixel takes the label of nearby small pixels with similar depth and colour.
 
@@ -21,6 +47,7 @@ def upsample_labels(
         small: the downscaled frame.
         full: the frame itself.
         noise: of its depth.
+        settings: see there.
 
     Returns:
         (H, W) int32 on `full`; 0 where depth is missing, except for holes inside an object.
@@ -34,22 +61,28 @@ def upsample_labels(
         as_float = labels.astype(np.float32)
         border = (cv2.dilate(as_float, size) != cv2.erode(as_float, size))[rows[:, None], columns[None, :]]
         y, x = np.nonzero(border & full.valid)
+        scale = settings.depth_sigmas * noise.sigma(full.depth[y, x]) + settings.extra_depth
         votes = np.zeros((labels.max() + 1, len(y)), np.float32)
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
                 yy, xx = np.clip(rows[y] + dy, 0, h - 1), np.clip(columns[x] + dx, 0, w - 1)
-                gap = np.abs(full.depth[y, x] - small.depth[yy, xx]) / (3 * noise.sigma(full.depth[y, x]) + 0.002)
-                change = np.abs(full.color[y, x].astype(np.float32) - small.color[yy, xx]).mean(-1) / 20
-                closeness = 1.0 if dx == dy == 0 else 0.6
+                gap = np.abs(full.depth[y, x] - small.depth[yy, xx]) / scale
+                change = np.abs(full.color[y, x].astype(np.float32) - small.color[yy, xx]).mean(-1)
+                change /= settings.color_scale
+                closeness = 1.0 if dx == dy == 0 else settings.neighbour_weight
                 vote = closeness * np.exp(-(np.minimum(gap, 6) ** 2) / 2 - np.minimum(change, 6) ** 2 / 2)
                 np.add.at(votes, (labels[yy, xx], np.arange(len(y))), vote * (small.depth[yy, xx] > 0) + 1e-9)
         out[y, x] = votes.argmax(0)
     out = np.where(full.valid, out, 0).astype(np.int32)
-    return _fill_holes(out, full)
+    return _fill_holes(out, full, settings.max_hole_share)
 
 
 def snap_to_edges(
-    labels: LabelImage, small: RgbdFrame, full: RgbdFrame, noise: DepthNoise = STRUCTURED_LIGHT
+    labels: LabelImage,
+    small: RgbdFrame,
+    full: RgbdFrame,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    settings: MaskEdgeSettings = DEFAULTS,
 ) -> LabelImage:
     """Align the borders of labels that were found on a smaller image with the depth and colour of the full one.
 
@@ -58,6 +91,7 @@ def snap_to_edges(
         small: the frame on which they were found.
         full: the frame itself.
         noise: of its depth.
+        settings: see there.
 
     Returns:
         (H, W) int32. Pixels without depth keep their label, as do all pixels where `small` is no smaller.
@@ -65,16 +99,16 @@ def snap_to_edges(
     if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
         return labels
     rows, columns = nearest_indices(labels.shape, small.depth.shape)
-    sharp = upsample_labels(labels[rows[:, None], columns], small, full, noise)
+    sharp = upsample_labels(labels[rows[:, None], columns], small, full, noise, settings)
     return np.where(full.valid, sharp, labels).astype(np.int32)
 
 
-def _fill_holes(labels: LabelImage, full: RgbdFrame) -> LabelImage:
+def _fill_holes(labels: LabelImage, full: RgbdFrame, max_share: float) -> LabelImage:
     """Label holes in the depth that one object encloses."""
     count, numbers, boxes, _ = cv2.connectedComponentsWithStats((~full.valid).astype(np.uint8), connectivity=4)
     for number in range(1, count):
         x, y, w, h, area = boxes[number]
-        if area > 0.002 * labels.size or x == 0 or y == 0 or x + w == labels.shape[1] or y + h == labels.shape[0]:
+        if area > max_share * labels.size or x == 0 or y == 0 or x + w == labels.shape[1] or y + h == labels.shape[0]:
             continue
         window = slice(y - 1, y + h + 1), slice(x - 1, x + w + 1)
         hole = (numbers[window] == number).astype(np.uint8)

@@ -17,6 +17,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.methods.consensus.assignment import Assignment, AssignmentSettings
 from objectflow.methods.consensus.estimator import ConsensusEstimator
+from objectflow.methods.consensus.pixel_graph import PixelGraphSettings
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
@@ -198,7 +199,14 @@ def test_background_that_a_known_object_hid_costs_less() -> None:
     box = frames[1].depth < 0.8
     motion = geometry.make_transform(np.eye(3), [-40 / 120 * 0.6, 0, 0])
     likelihood, settings = LikelihoodSettings(), AssignmentSettings()
-    assignment = Assignment(FramePair(*frames), None, min_pixels=12, likelihood=likelihood, settings=settings)
+    assignment = Assignment(
+        FramePair(*frames),
+        None,
+        min_pixels=12,
+        likelihood=likelihood,
+        graph=PixelGraphSettings(),
+        settings=settings,
+    )
     assignment.exclude(box, [(motion, box)])
     assignment.assign([], [], [], fine=False)
     assert assignment.background_cost[60, 40] == likelihood.hidden

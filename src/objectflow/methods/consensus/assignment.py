@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import EVERYWHERE, Box, LikelihoodSettings, motion_cost
-from objectflow.methods.consensus.pixel_graph import PixelGraph, split_regions
+from objectflow.methods.consensus.pixel_graph import PixelGraph, PixelGraphSettings, split_regions
 from objectflow.methods.consensus.random_walker import RandomWalker
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
@@ -61,6 +61,7 @@ class Assignment:
         *,
         min_pixels: int,
         likelihood: LikelihoodSettings,
+        graph: PixelGraphSettings,
         settings: AssignmentSettings,
     ) -> None:
         self.pair, self.min_pixels = pair, min_pixels
@@ -68,7 +69,7 @@ class Assignment:
         self.camera_moved = camera_motion is not None
         self.background = np.eye(4) if camera_motion is None else camera_motion
         self.points, self.valid = pair.curr.points, pair.curr.valid
-        self.graph = PixelGraph(pair.curr, pair.noise)
+        self.graph = PixelGraph(pair.curr, pair.noise, graph)
         self._walker = RandomWalker(self.graph)
         self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self._others: Sequence[MovingMask] = ()

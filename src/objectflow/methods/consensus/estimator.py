@@ -24,10 +24,11 @@ from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, Depth
 from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.base import PairEstimator
 from objectflow.methods.consensus.assignment import Assignment, AssignmentSettings, MovingMask
+from objectflow.methods.consensus.pixel_graph import PixelGraphSettings
 from objectflow.methods.consensus.proposals import ProposalSettings, propose
 from objectflow.methods.consensus.selection import Selection, SelectionSettings, prune, select_objects
 from objectflow.methods.consensus.unexplained import RecoverySettings, recover_unexplained
-from objectflow.methods.mask_edges import upsample_labels
+from objectflow.methods.mask_edges import MaskEdgeSettings, upsample_labels
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
@@ -55,9 +56,11 @@ class ConsensusConfig(Settings):
     camera_motion: CameraMotionSettings = CameraMotionSettings()
     proposals: ProposalSettings = ProposalSettings()
     likelihood: LikelihoodSettings = LikelihoodSettings()
+    graph: PixelGraphSettings = PixelGraphSettings()
     assignment: AssignmentSettings = AssignmentSettings()
     recovery: RecoverySettings = RecoverySettings()
     selection: SelectionSettings = SelectionSettings()
+    mask_edges: MaskEdgeSettings = MaskEdgeSettings()
 
 
 class Hypothesis(NamedTuple):
@@ -113,6 +116,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             camera_motion,
             min_pixels=max(12, round(self.min_object_share * small.curr.frame.depth.size)),
             likelihood=self.likelihood,
+            graph=self.graph,
             settings=self.assignment,
         )
         if known is not None:
@@ -131,7 +135,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             assignment, masks, [h.prev_T_curr for h in hypotheses], full.curr.frame.camera, movers, self.selection
         )
         # 6. Upsample the labels to the full image and compute the flow from the motions.
-        labels = upsample_labels(labels_s, small.curr.frame, curr, pair.noise)
+        labels = upsample_labels(labels_s, small.curr.frame, curr, pair.noise, self.mask_edges)
         if known is not None:
             labels = np.where(known, np.int32(0), labels)
         return self._result(pair, labels, objects, camera_motion, start)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -13,10 +14,26 @@ from scipy.spatial import cKDTree
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import DepthNoise
 from objectflow.geometry.normals import surface_normals
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
-_EDGE_WEIGHT = 30.0
-"""Weight of the edge between two pixels of one smooth surface of even colour; the weight of a certain pixel is 1."""
+
+@dataclass(frozen=True)
+class PixelGraphSettings(Settings):
+    """Weights of the edges between neighbouring pixels; the weight of a certain pixel's own label is 1."""
+
+    edge_weight: float = setting(30.0, above=0)
+    """Weight between two pixels of one smooth surface of even colour."""
+    depth_slope: float = setting(0.008, minimum=0)
+    """Depth difference that one surface may have between neighbouring pixels, relative to its depth."""
+    depth_sigmas: float = setting(3.0, minimum=0)
+    """The same in standard deviations of depth, in addition."""
+    color_scale: float = setting(25.0, above=0)
+    """Grey levels: scale of the colour differences that weaken an edge."""
+    crease_cosine: float = setting(0.97, minimum=-1, maximum=1)
+    """Cosine of the angle between two normals below which a concave edge is a crease."""
+    crease_factor: float = setting(0.15, minimum=0, maximum=1)
+    """Factor on the weight across a crease."""
 
 
 class PixelGraph:
@@ -29,7 +46,7 @@ class PixelGraph:
         laplacian: (H W, H W) of the weighted graph.
     """
 
-    def __init__(self, prepared: PreparedFrame, noise: DepthNoise) -> None:
+    def __init__(self, prepared: PreparedFrame, noise: DepthNoise, settings: PixelGraphSettings) -> None:
         frame, depth = prepared.frame, prepared.frame.depth
         self.shape = depth.shape
         index = np.arange(depth.size).reshape(depth.shape)
@@ -41,7 +58,7 @@ class PixelGraph:
             ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
             ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
         ):
-            weight, step = _edge_weights(depth, points, normals, color, noise, here, there)
+            weight, step = _edge_weights(depth, points, normals, color, noise, settings, here, there)
             heads.append(index[here].ravel())
             tails.append(index[there].ravel())
             weights.append(weight.ravel())
@@ -71,6 +88,7 @@ def _edge_weights(
     normals: Float32Array,
     color: Float32Array,
     noise: DepthNoise,
+    settings: PixelGraphSettings,
     here: Any,
     there: Any,
 ) -> tuple[Float64Array, BoolMask]:
@@ -79,16 +97,18 @@ def _edge_weights(
     both = (z0 > 0) & (z1 > 0)
     gap = np.abs(z0 - z1)
     # At a width of 320, a surface tilted by 75 degrees changes its depth by about 1.5% per pixel.
-    allowed = 0.008 * np.maximum(z0, z1) + 3 * noise.sigma(np.maximum(z0, z1))
+    far = np.maximum(z0, z1)
+    allowed = settings.depth_slope * far + settings.depth_sigmas * noise.sigma(far)
     step = both & (gap > allowed)
     with np.errstate(invalid="ignore"):
         turn = ((normals[there] - normals[here]) * (points[there] - points[here])).sum(-1)
-        crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < 0.97)
+        crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < settings.crease_cosine)
     change = np.abs(color[here] - color[there]).max(-1)
     # A colour edge alone may be print, so it only weakens an edge; depth steps and creases cut it.
-    weight = _EDGE_WEIGHT * (0.12 + 0.88 * np.exp(-((change / 25) ** 2))) * np.exp(-((gap / allowed) ** 2)) + 0.02
-    weight = np.where(crease, 0.15 * weight, weight)
-    weight = np.where(both, weight, 0.05 * _EDGE_WEIGHT * np.exp(-((change / 15) ** 2)) + 0.02)
+    similar = 0.12 + 0.88 * np.exp(-((change / settings.color_scale) ** 2))
+    weight = settings.edge_weight * similar * np.exp(-((gap / allowed) ** 2)) + 0.02
+    weight = np.where(crease, settings.crease_factor * weight, weight)
+    weight = np.where(both, weight, 0.05 * settings.edge_weight * np.exp(-((change / 15) ** 2)) + 0.02)
     return np.where(step, 0.01, weight), step
 
 

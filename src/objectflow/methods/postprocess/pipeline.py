@@ -37,7 +37,7 @@ def _snap(
         return labels, objects
     height, width = settings.label_size
     small = pair.curr.resized(width, height).frame
-    return relabel_present(snap_to_edges(labels, small, pair.curr.frame, pair.noise), objects)
+    return relabel_present(snap_to_edges(labels, small, pair.curr.frame, pair.noise, settings.snap_to_edges), objects)
 
 
 def _drop_uncertain(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from objectflow.alignment.likelihood import LikelihoodSettings
 from objectflow.alignment.refine_objects import RefineSettings
 from objectflow.geometry.moved import STATIC_DISPLACEMENT
+from objectflow.methods.mask_edges import MaskEdgeSettings
 from objectflow.settings import Settings, setting
 
 
@@ -126,4 +127,5 @@ class PostprocessSettings(Settings):
     static_test: StaticTestSettings = StaticTestSettings()
     motion_search: MotionSearchSettings = MotionSearchSettings()
     merge: MergeSettings = MergeSettings()
+    snap_to_edges: MaskEdgeSettings = MaskEdgeSettings()
     missed_objects: MissedObjectSettings = MissedObjectSettings()

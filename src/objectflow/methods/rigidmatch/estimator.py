@@ -122,7 +122,8 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             labels, objects = postprocess(pair, labels, objects, settings, changes)
         else:
             small = pair.curr.resized(size[1], size[0]).frame
-            labels, objects = relabel_present(snap_to_edges(labels, small, curr, pair.noise), objects)
+            snapped = snap_to_edges(labels, small, curr, pair.noise, self.postprocess.snap_to_edges)
+            labels, objects = relabel_present(snapped, objects)
         # 4. The flow of their motions.
         if self.rigid == "none":
             flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)
