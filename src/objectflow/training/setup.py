@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from objectflow.errors import MethodError
 from objectflow.networks import SceneFlowNet
 from objectflow.networks.rigidmatch import RigidMatch
-from objectflow.networks.weights import load_network
+from objectflow.networks.weights import Network, load_network
 from objectflow.training.adapters import NetworkAdapter, RigidMatchAdapter, SceneFlowNetAdapter
 from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.parallel import Process, synchronize_batch_norm
@@ -35,50 +35,36 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
         MethodError: a file that does not fit; the message names the field or the tensor.
     """
     generator = torch.Generator().manual_seed(recipe.seed)
+    network: Network
     adapter: NetworkAdapter
     match recipe.model:
         case SceneFlowNetModel() as paper:
-            adapter = SceneFlowNetAdapter(_sceneflownet(paper, generator, backbone, start), paper)
+            if start is None:
+                network = SceneFlowNet(paper.network, generator=generator)
+            else:
+                network, _ = load_network(start, settings=paper.network)
+            adapter = SceneFlowNetAdapter(network, paper)
             has_batch_norm = paper.network.trunk_norm == "batch"
         case RigidMatchModel() as rigid:
-            adapter = RigidMatchAdapter(_rigidmatch(rigid, generator, backbone, start), rigid)
+            if start is None and backbone is None and rigid.network.xfeat != "none":
+                raise MethodError(
+                    "rigidmatch needs the filters of XFeat: give a file of scripts/convert_xfeat.py by "
+                    "--backbone-weights, weights to start from by --start-from, or --model.network.xfeat none"
+                )
+            if start is None:
+                network = RigidMatch(rigid.network, generator=generator)
+            else:
+                network, _ = load_network(start, settings=rigid.network)
+            adapter = RigidMatchAdapter(network, rigid)
             has_batch_norm = True
-    network = adapter.network
+    if backbone is not None:
+        network.load_backbone(backbone)
     network.to(process.device).train()
     if recipe.channels_last:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     if has_batch_norm:
         synchronize_batch_norm(network, process)
     return adapter
-
-
-def _sceneflownet(
-    config: SceneFlowNetModel, generator: torch.Generator, backbone: Path | None, start: Path | None
-) -> SceneFlowNet:
-    if start is not None:
-        network, _ = load_network(start, settings=config.network)
-    else:
-        network = SceneFlowNet(config.network, generator=generator)
-    if backbone is not None:
-        network.load_backbone(backbone)
-    return network
-
-
-def _rigidmatch(
-    config: RigidMatchModel, generator: torch.Generator, backbone: Path | None, start: Path | None
-) -> RigidMatch:
-    if start is not None:
-        network, _ = load_network(start, settings=config.network)
-    else:
-        network = RigidMatch(config.network, generator=generator)
-    if backbone is not None:
-        network.load_backbone(backbone)
-    elif start is None and config.network.xfeat != "none":
-        raise MethodError(
-            "rigidmatch needs the filters of XFeat: give a file of scripts/convert_xfeat.py by --backbone-weights, "
-            "weights to start from by --start-from, or --model.network.xfeat none"
-        )
-    return network
 
 
 def build_optimizer(recipe: Recipe, network: nn.Module, device: torch.device) -> torch.optim.Optimizer:
