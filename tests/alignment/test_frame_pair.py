@@ -12,6 +12,7 @@ import analytic
 from objectflow import geometry
 from objectflow.alignment import frame_pair, prepared_frame, registration
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.prepared_frame import GRAY_BLURS, PreparedFrame
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
@@ -139,6 +140,15 @@ def test_another_noise_keeps_the_prepared_frames() -> None:
     assert stereo.noise is stereo.at_width(160).noise is stereo.target.noise is DEPTH_NOISE["stereo"]
     assert pair.noise is pair.at_width(160).noise is pair.target.noise is STRUCTURED_LIGHT
     assert stereo.at_width(160).curr is pair.at_width(160).curr
+
+
+def test_other_match_settings_keep_the_prepared_frames() -> None:
+    pair = FramePair(SCENE.prev, SCENE.curr, noise=DEPTH_NOISE["stereo"])
+    assert pair.with_matching(MatchSettings()) is pair
+    sparse = pair.with_matching(MatchSettings(narrow_stride=16))
+    assert (sparse.prev, sparse.curr, sparse.noise) == (pair.prev, pair.curr, pair.noise)
+    assert sparse.at_width(160).matching == sparse.followed_by(SCENE.prev).matching == MatchSettings(narrow_stride=16)
+    assert 12 < len(pair.matches.pixels) / len(sparse.matches.pixels) < 20  # one in sixteen, besides the features
 
 
 def test_prepared_frames_are_taken_as_they_are() -> None:

@@ -133,3 +133,5 @@ def test_colour_costs_up_to_its_maximum_and_lightness_little() -> None:
     assert cost((200, 30, 30), (30, 30, 200), LikelihoodSettings(max_color=1.25)) == 1.25
     # OpenCV's 8-bit lightness of grey 128 and 160 is 137 and 168; a difference of 40 costs 0.5.
     assert cost((128, 128, 128), (160, 160, 160)) == pytest.approx(0.5 * (31 / 40) ** 2, rel=0.05)
+    strict = LikelihoodSettings(lightness_tolerance=20.0)
+    assert cost((128, 128, 128), (160, 160, 160), strict) == pytest.approx(0.5 * (31 / 20) ** 2, rel=0.05)

@@ -204,6 +204,15 @@ def test_depth_is_not_sampled_outside_on_holes_or_across_edges() -> None:
     assert sample(depth, (2.5, 1), (4.5, 1), (6.5, 4.5))[1] == [True] * 3
 
 
+def test_the_depth_step_that_ends_a_surface_is_a_setting() -> None:
+    depth = np.ones((6, 8), np.float32)
+    depth[:, 4:] = 1.2
+    pixel = np.array([[3.5, 1]], np.float32)
+    for step, accepted in ((0.19, False), (0.21, True)):
+        settings = matching.MatchSettings(surface_step_ratio=0.0, surface_step=step)
+        assert matching.sample_depth(depth, pixel, settings)[1].tolist() == [accepted]
+
+
 def test_no_pixels_give_no_depth() -> None:
     values, ok = matching.sample_depth(np.ones((6, 8), np.float32), np.zeros((0, 2), np.float32))
     assert (values.shape, ok.shape) == ((0,), (0,))

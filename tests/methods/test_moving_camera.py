@@ -124,6 +124,8 @@ def test_an_object_must_move_by_more_than_the_error_of_the_cameras_motion(
     (found,) = moving_camera.compose(static, points, motion).objects
     assert found.moving is moving
     np.testing.assert_allclose(found.prev_T_curr, motion @ shift)
+    (exact,) = moving_camera.compose(static, points, motion, scale_error=0.0).objects
+    assert exact.moving
 
 
 def test_the_method_is_given_a_static_camera_and_the_result_has_a_moving_one() -> None:

@@ -23,9 +23,6 @@ class AppearanceFeatures:
         contrast: local range of each channel, over 3x3 pixels.
     """
 
-    TOLERANCES = ((8.0, 0.35), (40.0, 0.35), (8.0, 0.35), (8.0, 0.35))
-    """For each channel: difference in grey levels that costs 0.5, and the share of the local contrast added to it."""
-
     def __init__(self, color: UInt8Array) -> None:
         lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
         light = np.ascontiguousarray(lab[..., 0])

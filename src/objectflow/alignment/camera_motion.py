@@ -8,8 +8,10 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
+from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import PixelMatches, inside
+from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import upsample_mask
@@ -37,6 +39,10 @@ class CameraMotionSettings(Settings):
     """Standard deviations of depth: see `static_shift_px`."""
     min_gain_ratio: float = setting(2.0, minimum=0)
     """The motion must reduce the squared errors of matches by this factor times what it adds to others."""
+    inlier_sigmas: float = setting(3.0, above=0)
+    """Standard deviations: largest distance of an inlier to its match; a larger error costs no more."""
+    fit: FitSettings = FitSettings()
+    registration: RegistrationSettings = RegistrationSettings()
 
 
 DEFAULTS = CameraMotionSettings()
@@ -72,7 +78,9 @@ def background_motion(
     moved = None
     if found is not None:
         prev_T_curr, inliers = found
-        moved = registration.refine(pair.target, source, prev_T_curr, matches=matches[inliers]).prev_T_curr
+        moved = registration.refine(
+            pair.target, source, prev_T_curr, matches=matches[inliers], settings=settings.registration
+        ).prev_T_curr
     if camera == "moving":
         return np.eye(4) if moved is None else moved
     if moved is None or not _exceeds_noise(moved, matches, source, frame.camera, pair.noise, settings):
@@ -104,14 +112,14 @@ def dominant_motion(
     motions = np.concatenate([np.eye(4)[None], motions[determined]])
     squared = fitting.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
     # MSAC weighs an inlier by how well it fits (Torr and Zisserman 2000).
-    best = int(np.minimum(squared, 9).sum(1).argmin())
+    best = int(np.minimum(squared, settings.inlier_sigmas**2).sum(1).argmin())
     prev_T_curr = motions[best]
     for _ in range(3):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
-        inliers = error < 3 * sigma
+        inliers = error < settings.inlier_sigmas * sigma
         if inliers.sum() < settings.min_inliers:
             return None
-        prev_T_curr = fitting.fit_matches(matches[inliers], camera, noise=noise)[0]
+        prev_T_curr = fitting.fit_matches(matches[inliers], camera, noise=noise, settings=settings.fit)[0]
     return prev_T_curr, inliers
 
 
@@ -134,6 +142,6 @@ def _exceeds_noise(
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     with_motion = np.linalg.norm(geometry.transform(moved, matches.curr) - matches.prev, axis=1) / sigma
     without = np.linalg.norm(matches.curr - matches.prev, axis=1) / sigma
-    won = np.maximum(np.minimum(without**2, 9) - np.minimum(with_motion**2, 9), 0).sum()
-    lost = np.maximum(np.minimum(with_motion**2, 9) - np.minimum(without**2, 9), 0).sum()
+    gain = np.minimum(without**2, settings.inlier_sigmas**2) - np.minimum(with_motion**2, settings.inlier_sigmas**2)
+    won, lost = np.maximum(gain, 0).sum(), np.maximum(-gain, 0).sum()
     return bool(won > settings.min_gain_ratio * lost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,25 @@ from objectflow.alignment.matching import PixelMatches
 from objectflow.alignment.registration import TUKEY
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array
+
+
+@dataclass(frozen=True)
+class FitSettings(Settings):
+    """How a rigid motion is fitted to matches (`fit_matches`)."""
+
+    trials: int = setting(40, minimum=1)
+    """Minimal sets of three matches among which the first fit is chosen."""
+    iterations: int = setting(8, minimum=0)
+    """Maximum number of reweighted fits after it."""
+    tukey: float = setting(TUKEY, above=0)
+    """Standard deviations from which a match has no weight (Tukey's biweight)."""
+    inlier_sigmas: float = setting(3.0, above=0)
+    """Standard deviations: largest distance of an inlier to its match."""
+
+
+DEFAULTS = FitSettings()
 
 
 def fit_matches(
@@ -20,8 +39,8 @@ def fit_matches(
     camera: Camera,
     *,
     weights: Float32Array | None = None,
-    iterations: int = 8,
     noise: DepthNoise = STRUCTURED_LIGHT,
+    settings: FitSettings = DEFAULTS,
 ) -> tuple[Float64Array, BoolMask]:
     """The rigid motion of matches: Kabsch's fit, reweighted by Tukey's biweight.
 
@@ -29,22 +48,23 @@ def fit_matches(
         matches: at least three, most of them from one object.
         camera: its focal length converts the matching error from pixels to metres.
         weights: (N,) prior weights; ones when None.
-        iterations: maximum number of fits.
         noise: of the depth.
+        settings: see there.
 
     Returns:
-        (4, 4) `prev_T_curr`, and (N,) bool: the inliers, within three standard deviations.
+        (4, 4) `prev_T_curr`, and (N,) bool: the inliers.
     """
     prior = np.ones(len(matches.curr)) if weights is None else weights.astype(np.float64)
     sigma = noise.match_sigma(matches.curr[:, 2], camera).astype(np.float64)
     # Maximum likelihood weighs precise points more.
     precision = prior / sigma**2
-    prev_T_curr = _rough_fit(matches, sigma, precision)
-    for _ in range(iterations):
+    prev_T_curr = _rough_fit(matches, sigma, precision, settings)
+    for _ in range(settings.iterations):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         scaled = error / sigma
         scale = max(1.0, 1.4826 * float(np.median(scaled)))
-        robust = np.where(scaled < TUKEY * scale, (1 - (scaled / (TUKEY * scale)) ** 2) ** 2, 0.0)
+        limit = settings.tukey * scale
+        robust = np.where(scaled < limit, (1 - (scaled / limit) ** 2) ** 2, 0.0)
         if (robust > 0).sum() < 3:
             break
         updated, determined = geometry.kabsch(matches.curr, matches.prev, precision * robust)
@@ -55,22 +75,25 @@ def fit_matches(
         if change < 1e-7:
             break
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
-    return prev_T_curr, error < 3 * sigma
+    return prev_T_curr, error < settings.inlier_sigmas * sigma
 
 
-def _rough_fit(matches: PixelMatches, sigma: Float64Array, precision: Float64Array, trials: int = 40) -> Float64Array:
+def _rough_fit(
+    matches: PixelMatches, sigma: Float64Array, precision: Float64Array, settings: FitSettings
+) -> Float64Array:
     """The best, by truncated squares, of the fit to all matches and of fits to triplets.
 
     Triplets step through the list with varying strides, so the result is deterministic.
     """
     count = len(matches.curr)
+    trials, limit = settings.trials, settings.inlier_sigmas**2
     trial = np.arange(trials)
     stride = 1 + (trial * 37) % max(1, count // 2)
     triplets = (trial[:, None] * count // trials + stride[:, None] * np.arange(3)) % count
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
     everything, _ = geometry.kabsch(matches.curr, matches.prev, precision)
     motions = np.concatenate([everything[None], motions[determined]])
-    misfit = np.minimum(squared_errors(motions, matches.curr, matches.prev) / sigma**2, 9).sum(axis=1)
+    misfit = np.minimum(squared_errors(motions, matches.curr, matches.prev) / sigma**2, limit).sum(axis=1)
     return np.asarray(motions[misfit.argmin()])
 
 

@@ -38,6 +38,19 @@ class LikelihoodSettings(Settings):
     """Metres added to the standard deviation, for interpolation and registration of depth to colour."""
     max_color: float = setting(2.0, minimum=0)
     """Highest cost of a colour difference."""
+    outlier_sigmas: float = setting(3.0, above=0)
+    """Standard deviations from which a depth difference costs no more; in front of the surface, it violates free
+    space from there."""
+    far_behind_sigmas: float = setting(6.0, above=0)
+    """Standard deviations behind the measured surface up to which being hidden costs 1 more."""
+    texture_tolerance: float = setting(8.0, above=0)
+    """Grey levels: difference of texture, which is lightness minus its local mean, that costs 0.5."""
+    lightness_tolerance: float = setting(40.0, above=0)
+    """The same of lightness; it is large since shadows change lightness."""
+    color_tolerance: float = setting(8.0, above=0)
+    """The same of each colour-opponent channel of CIELAB."""
+    contrast_tolerance: float = setting(0.35, minimum=0)
+    """Share of the local contrast that is added to each of these tolerances; it allows for half a pixel at edges."""
 
 
 DEFAULTS = LikelihoodSettings()
@@ -93,14 +106,15 @@ def motion_cost(
         offset = np.where(np.abs(candidate) < np.abs(offset), candidate, offset)
     known = inside & np.isfinite(offset) & np.isfinite(z)
     scaled = np.where(known, offset, 0) / sigma
-    cost = 0.5 * np.minimum(scaled**2, 9)
+    cost = 0.5 * np.minimum(scaled**2, settings.outlier_sigmas**2)
     if appearance is not None:
-        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box, settings.max_color)
+        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box, settings)
     # At `hidden_sigmas` behind the surface, being hidden becomes more probable than a measurement error. Far behind is
     # more probable than just behind, which takes a thin object or a wrong motion.
     hidden = known & (scaled > settings.hidden_sigmas)
     worst = settings.free_space_violation
-    cost = np.where(scaled < -3, worst, np.where(hidden, hidden_cost + (scaled < 6), cost))
+    cost = np.where(hidden, hidden_cost + (scaled < settings.far_behind_sigmas), cost)
+    cost = np.where(scaled < -settings.outlier_sigmas, worst, cost)
     cost = np.where(known, np.minimum(cost, worst), unseen_cost).astype(np.float32)
     return cost, hidden
 
@@ -120,12 +134,19 @@ def motion_confidence(cost: Float32Array, gain: Float32Array) -> float:
 
 
 def _color_cost(
-    prev: AppearanceFeatures, curr: AppearanceFeatures, u: Float32Array, v: Float32Array, box: Box, limit: float
+    prev: AppearanceFeatures,
+    curr: AppearanceFeatures,
+    u: Float32Array,
+    v: Float32Array,
+    box: Box,
+    settings: LikelihoodSettings,
 ) -> Float32Array:
-    """Colour at (u, v) in `prev` compared with the box of `curr`; its tolerance allows for half a pixel at edges."""
+    """Colour at (u, v) in `prev` compared with the box of `curr`."""
+    color = settings.color_tolerance
+    tolerances = (settings.texture_tolerance, settings.lightness_tolerance, color, color)
     cost = np.zeros(u.shape, np.float32)
-    for channel, (tolerance, slack) in enumerate(AppearanceFeatures.TOLERANCES):
+    for channel, tolerance in enumerate(tolerances):
         warped = cv2.remap(prev.channels[channel], u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         own, contrast = curr.channels[channel][box], curr.contrast[channel][box]
-        cost += ((warped - own) / (tolerance + slack * contrast)) ** 2
-    return np.asarray(np.minimum(0.5 * cost, limit), dtype=np.float32)
+        cost += ((warped - own) / (tolerance + settings.contrast_tolerance * contrast)) ** 2
+    return np.asarray(np.minimum(0.5 * cost, settings.max_color), dtype=np.float32)

@@ -11,10 +11,36 @@ from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
 _MIN_SIDE = 12
 """Pixels: smallest image side that DIS optical flow accepts."""
+
+
+@dataclass(frozen=True)
+class MatchSettings(Settings):
+    """Which matches between the frames are accepted."""
+
+    stride: int = setting(8, minimum=1)
+    """Pixels between matches by optical flow."""
+    narrow_width: int = setting(400, minimum=0)
+    """Pixels: images up to this width use `narrow_stride`."""
+    narrow_stride: int = setting(4, minimum=1)
+    """Pixels between matches by optical flow in narrow images."""
+    flow_error_ratio: float = setting(0.01, minimum=0)
+    """Largest squared difference of forward and backward flow, relative to the sum of their squared lengths."""
+    flow_error: float = setting(0.5, minimum=0)
+    """Square pixels, added to that difference."""
+    max_descriptor_ratio: float = setting(0.85, above=0, maximum=1)
+    """Largest distance of a feature to its match, relative to that of the second nearest feature."""
+    surface_step_ratio: float = setting(0.02, minimum=0)
+    """Largest difference of depth between the four pixels around a match, relative to depth."""
+    surface_step: float = setting(0.005, minimum=0)
+    """Metres, added to that difference."""
+
+
+DEFAULTS = MatchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,18 +67,23 @@ class PixelMatches:
         )
 
 
-def match_frames(prev: PreparedFrame, curr: PreparedFrame) -> PixelMatches:
+def match_frames(prev: PreparedFrame, curr: PreparedFrame, settings: MatchSettings = DEFAULTS) -> PixelMatches:
     """Optical flow on a grid, for small displacements everywhere, and feature matches, for large ones on texture."""
-    flow, consistent = dense_flow(prev.gray, curr.gray)
-    stride = 4 if curr.frame.camera.width <= 400 else 8
-    return flow_matches(flow, consistent, prev.frame, curr.frame, stride=stride) + feature_matches(prev, curr)
+    flow, consistent = dense_flow(prev.gray, curr.gray, settings)
+    narrow = curr.frame.camera.width <= settings.narrow_width
+    stride = settings.narrow_stride if narrow else settings.stride
+    by_flow = flow_matches(flow, consistent, prev.frame, curr.frame, stride=stride, settings=settings)
+    return by_flow + feature_matches(prev, curr, settings)
 
 
-def dense_flow(prev_gray: UInt8Array, curr_gray: UInt8Array) -> tuple[Float32Array, BoolMask]:
+def dense_flow(
+    prev_gray: UInt8Array, curr_gray: UInt8Array, settings: MatchSettings = DEFAULTS
+) -> tuple[Float32Array, BoolMask]:
     """DIS optical flow (Kroeger et al., ECCV 2016) from the current to the previous image.
 
     Args:
         prev_gray, curr_gray: (H, W) uint8.
+        settings: `flow_error_ratio` and `flow_error` apply.
 
     Returns:
         (H, W, 2) float32 flow in pixels, and (H, W) bool: whether forward and backward flow agree. Images with a side
@@ -69,31 +100,38 @@ def dense_flow(prev_gray: UInt8Array, curr_gray: UInt8Array) -> tuple[Float32Arr
     # The tolerance grows with the length of the flow (Sundaram et al., ECCV 2010, equation 5).
     error = ((curr_to_prev + back) ** 2).sum(-1)
     length = (curr_to_prev**2).sum(-1) + (back**2).sum(-1)
-    return curr_to_prev, error < 0.01 * length + 0.5
+    return curr_to_prev, error < settings.flow_error_ratio * length + settings.flow_error
 
 
 def lift(
-    pixels: Float32Array, prev_pixels: Float32Array, prev: RgbdFrame, curr: RgbdFrame
+    pixels: Float32Array,
+    prev_pixels: Float32Array,
+    prev: RgbdFrame,
+    curr: RgbdFrame,
+    settings: MatchSettings = DEFAULTS,
 ) -> tuple[PixelMatches, BoolMask]:
     """Lift matched pixels (N, 2) to 3D points.
 
     Returns:
         The matches with depth on one surface at both ends, and (N,) bool: which of the given ones they are.
     """
-    curr_depth, curr_ok = sample_depth(curr.depth, pixels)
-    prev_depth, prev_ok = sample_depth(prev.depth, prev_pixels)
+    curr_depth, curr_ok = sample_depth(curr.depth, pixels, settings)
+    prev_depth, prev_ok = sample_depth(prev.depth, prev_pixels, settings)
     keep = curr_ok & prev_ok
     curr_points = geometry.back_project_pixels(pixels[keep], curr_depth[keep], curr.camera)
     prev_points = geometry.back_project_pixels(prev_pixels[keep], prev_depth[keep], prev.camera)
     return PixelMatches(pixels[keep], curr_points, prev_points), keep
 
 
-def sample_depth(depth: Float32Array, pixels: Float32Array) -> tuple[Float32Array, BoolMask]:
+def sample_depth(
+    depth: Float32Array, pixels: Float32Array, settings: MatchSettings = DEFAULTS
+) -> tuple[Float32Array, BoolMask]:
     """Depth at fractional pixels: bilinear where the four neighbours lie on one surface.
 
     Args:
         depth: (H, W) metres.
         pixels: (N, 2) as (u, v).
+        settings: `surface_step_ratio` and `surface_step` apply.
 
     Returns:
         (N,) metres, and (N,) bool: False outside the image, on holes and across depth edges.
@@ -108,33 +146,42 @@ def sample_depth(depth: Float32Array, pixels: Float32Array) -> tuple[Float32Arra
     first, values = v0 * width + u0, np.ascontiguousarray(depth).ravel()
     a, b, c, d = (values.take(first + step) for step in (0, right, below, below + right))
     low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
-    ok = inside & (low > 0) & (high - low < 0.02 * high + 0.005)
+    step = settings.surface_step_ratio * high + settings.surface_step
+    ok = inside & (low > 0) & (high - low < step)
     top, bottom = a + (b - a) * du, c + (d - c) * du
     return (top + (bottom - top) * dv).astype(np.float32), ok
 
 
 def flow_matches(
-    flow: Float32Array, consistent: BoolMask, prev: RgbdFrame, curr: RgbdFrame, *, stride: int
+    flow: Float32Array,
+    consistent: BoolMask,
+    prev: RgbdFrame,
+    curr: RgbdFrame,
+    *,
+    stride: int,
+    settings: MatchSettings = DEFAULTS,
 ) -> PixelMatches:
     """Consistent optical flow, sampled every `stride` pixels and lifted to 3D."""
     v, u = np.mgrid[stride // 2 : flow.shape[0] : stride, stride // 2 : flow.shape[1] : stride]
     keep = consistent[v, u]
     pixels = np.stack([u[keep], v[keep]], axis=1).astype(np.float32)
-    return lift(pixels, pixels + flow[v[keep], u[keep]], prev, curr)[0]
+    return lift(pixels, pixels + flow[v[keep], u[keep]], prev, curr, settings)[0]
 
 
-def feature_matches(prev: RgbdFrame | PreparedFrame, curr: RgbdFrame | PreparedFrame) -> PixelMatches:
+def feature_matches(
+    prev: RgbdFrame | PreparedFrame, curr: RgbdFrame | PreparedFrame, settings: MatchSettings = DEFAULTS
+) -> PixelMatches:
     """Mutual SIFT matches that pass the ratio test; they span displacements too large for optical flow."""
     prev, curr = PreparedFrame.of(prev), PreparedFrame.of(curr)
     here, there = curr.keypoints, prev.keypoints
     if len(here.pixels) < 2 or len(there.pixels) < 2:
         empty = np.zeros((0, 2), np.float32)
         return lift(empty, empty, prev.frame, curr.frame)[0]
-    curr_index, prev_index = _match_descriptors(here.descriptors, there.descriptors)
-    return lift(here.pixels[curr_index], there.pixels[prev_index], prev.frame, curr.frame)[0]
+    curr_index, prev_index = _match_descriptors(here.descriptors, there.descriptors, settings.max_descriptor_ratio)
+    return lift(here.pixels[curr_index], there.pixels[prev_index], prev.frame, curr.frame, settings)[0]
 
 
-def _match_descriptors(curr: Float32Array, prev: Float32Array, ratio: float = 0.85) -> tuple[IndexArray, IndexArray]:
+def _match_descriptors(curr: Float32Array, prev: Float32Array, ratio: float) -> tuple[IndexArray, IndexArray]:
     """Mutual nearest neighbours of unit descriptors whose distance is below `ratio` times the second nearest."""
     similarity = curr @ prev.T
     best = similarity.argmax(1)

@@ -9,7 +9,9 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
+from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.geometry.resample import nearest_indices
 from objectflow.motion import ObjectMotion
@@ -35,6 +37,8 @@ class RefineSettings(Settings):
     """Degrees: see `max_shift`."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
+    fit: FitSettings = FitSettings()
+    registration: RegistrationSettings = RegistrationSettings()
 
 
 DEFAULTS = RefineSettings()
@@ -72,7 +76,7 @@ def refine_objects(
         initial = [obj.prev_T_curr]
         own = matches[owner == obj.id]
         if len(own.curr) >= settings.min_matches:
-            initial.append(fitting.fit_matches(own, camera, noise=pair.noise)[0])
+            initial.append(fitting.fit_matches(own, camera, noise=pair.noise, settings=settings.fit)[0])
         motion = refine_one(pair.target, source, initial, settings)
         refined = dataclasses.replace(obj, prev_T_curr=motion)
         moving = is_moving(motion[:3, :3], refined.translation, settings.static_displacement)
@@ -89,11 +93,12 @@ def refine_one(
     """The motion with the least depth cost among the first initial motion and the registered ones."""
     if not len(source.points):
         return initial[0]
-    found = [registration.refine(target, source, start) for start in initial]
+    found = [registration.refine(target, source, start, settings=settings.registration) for start in initial]
     found = [
         one for one in found if np.isfinite(one.prev_T_curr).all() and _is_plausible(one, source, initial[0], settings)
     ]
-    candidates = [*found, registration.evaluate_registration(target, source, initial[0])]
+    unchanged = registration.evaluate_registration(target, source, initial[0], settings.registration)
+    candidates = [*found, unchanged]
     return min(candidates, key=lambda one: depth_cost(one, target, source)).prev_T_curr
 
 

@@ -19,12 +19,12 @@ from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
 TUKEY = 4.685
-"""Constant of Tukey's biweight: 95% efficiency under Gaussian noise."""
+"""Default constant of Tukey's biweight: 95% efficiency under Gaussian noise."""
 
 
 @dataclass(frozen=True)
 class RegistrationSettings(Settings):
-    """Convergence and weights of `refine`."""
+    """Convergence and weights of `refine`, and what counts as an inlier."""
 
     iterations: int = setting(12, minimum=1)
     """Maximum number of Gauss-Newton steps for each blur of the grey images."""
@@ -36,6 +36,14 @@ class RegistrationSettings(Settings):
     """Factor on the gate at every step."""
     last_gate: float = setting(0.008, above=0)
     """Metres: the gate never becomes smaller."""
+    inlier_sigmas: float = setting(3.0, above=0)
+    """Standard deviations of depth: added to the gate, and largest distance of an inlier to the surface."""
+    hidden_margin: float = setting(0.01, minimum=0)
+    """Metres, added to `inlier_sigmas`: a point farther behind the surface is hidden."""
+    min_gray_noise: float = setting(4.0, above=0)
+    """Grey levels: smallest standard deviation of grey residuals; it is otherwise measured."""
+    tukey: float = setting(TUKEY, above=0)
+    """Standard deviations from which a residual has no weight (Tukey's biweight)."""
 
 
 DEFAULTS = RegistrationSettings()
@@ -78,7 +86,7 @@ class RegistrationResult:
 
     Attributes:
         prev_T_curr: (4, 4).
-        fitness: share of the visible points that lie on the surface of `prev` to within three standard deviations.
+        fitness: share of the visible points that lie on the surface of `prev` to within `inlier_sigmas`.
         visible: share of the points that `prev` shows: inside the image, with depth there, and not hidden.
         inlier_rmse: metres: root mean square distance of the inliers to the surface.
     """
@@ -145,9 +153,9 @@ def refine(
     for level, grays in enumerate(source.grays):
         for iteration in range(settings.iterations):
             gate = max(settings.first_gate * settings.gate_decay ** (iteration + 4 * level), settings.last_gate)
-            H, b = _normal_equations(target, target.shades[level], points, grays, T, gate, settings.color_weight)
+            H, b = _normal_equations(target, target.shades[level], points, grays, T, gate, settings)
             if matches is not None and len(matches.curr) >= 3:
-                H_m, b_m = _match_equations(matches, T, target)
+                H_m, b_m = _match_equations(matches, T, target, settings.tukey)
                 H, b = H + H_m, b + b_m
             # Levenberg's damping, relative to the curvature of each axis; unconstrained directions stay unchanged.
             damping = 1e-4 * np.diag(H) + 1e-6 * np.trace(H) / 6 + 1e-9
@@ -155,7 +163,7 @@ def refine(
             T = geometry.se3_exp(step) @ T
             if np.abs(step).max() < 3e-5:  # 0.03 mm: far below the resolution of a depth camera
                 break
-    return evaluate_registration(target, source, T)
+    return evaluate_registration(target, source, T, settings)
 
 
 def _normal_equations(
@@ -165,7 +173,7 @@ def _normal_equations(
     grays: Float32Array,
     T: Float64Array,
     gate: float,
-    color_weight: float,
+    settings: RegistrationSettings,
 ) -> tuple[Float64Array, Float64Array]:
     """The 6x6 system of the depth and the colour terms at T.
 
@@ -176,7 +184,7 @@ def _normal_equations(
         grays: (N,) their grey levels, equally blurred.
         T: (4, 4) `prev_T_curr`.
         gate: metres: a larger depth difference, beyond the noise, belongs to another surface or a hidden point.
-        color_weight: of the colour term.
+        settings: weights and noise.
     """
     camera = target.camera
     points = T[:3, :3].astype(np.float32) @ source + T[:3, 3, None].astype(np.float32)
@@ -186,22 +194,22 @@ def _normal_equations(
     offset = points - found[:3]
     sigma = target.noise.sigma(points[2])
     along = (offset * found[3:]).sum(axis=0)
-    used = np.flatnonzero((np.abs(offset[2]) < gate + 3 * sigma) & np.isfinite(along))
+    used = np.flatnonzero((np.abs(offset[2]) < gate + settings.inlier_sigmas * sigma) & np.isfinite(along))
     p, n, sigma = points[:, used].astype(np.float64), found[3:, used].astype(np.float64), sigma[used]
     r, direction, weight = along[used] / sigma, n / sigma, np.ones(1)
-    if color_weight > 0 and len(used) > 6:
+    if settings.color_weight > 0 and len(used) > 6:
         u, v = pixels[:, index[used]]
         shade = cv2.remap(shades, u[None], v[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         there, g_u, g_v = shade[0].T.astype(np.float64)
         difference = there - grays[index[used]]
         difference -= np.median(difference)  # exposure may have changed between the frames
-        noise = max(4.0, 1.4826 * float(np.median(np.abs(difference))))
+        noise = max(settings.min_gray_noise, 1.4826 * float(np.median(np.abs(difference))))
         a, b = g_u * (camera.fx / noise) / p[2], g_v * (camera.fy / noise) / p[2]
         toward = np.stack([a, b, -(a * p[0] + b * p[1]) / p[2]])
         r, direction = np.concatenate([r, difference / noise]), np.concatenate([direction, toward], axis=1)
-        p, weight = np.concatenate([p, p], axis=1), np.repeat([1.0, color_weight], len(used))
+        p, weight = np.concatenate([p, p], axis=1), np.repeat([1.0, settings.color_weight], len(used))
     J = np.concatenate([direction, _cross(p, direction)])
-    weighted = J * (weight * _tukey(r))
+    weighted = J * (weight * _tukey(r, settings.tukey))
     return weighted @ J.T, weighted @ r
 
 
@@ -218,13 +226,13 @@ def _pixels_on_image(points: Float32Array, camera: Camera) -> tuple[Float32Array
 
 
 def _match_equations(
-    matches: PixelMatches, T: Float64Array, target: RegistrationTarget
+    matches: PixelMatches, T: Float64Array, target: RegistrationTarget, tukey: float
 ) -> tuple[Float64Array, Float64Array]:
     """The 6x6 system of the distances between matches at T."""
     p = geometry.transform(T, matches.curr.astype(np.float64))
     sigma = target.noise.match_sigma(matches.curr[:, 2], target.camera).astype(np.float64)
     r = (p - matches.prev) / sigma[:, None]
-    weight = _tukey(np.linalg.norm(r, axis=1))
+    weight = _tukey(np.linalg.norm(r, axis=1), tukey)
     J = np.concatenate([np.broadcast_to(np.eye(3), (len(p), 3, 3)), -geometry.hat(p)], axis=2) / sigma[:, None, None]
     J, weight = J.reshape(-1, 6), np.repeat(weight, 3)
     weighted = (weight[:, None] * J).T
@@ -232,7 +240,10 @@ def _match_equations(
 
 
 def evaluate_registration(
-    target: RegistrationTarget, source: RegistrationSource, T: Float64Array
+    target: RegistrationTarget,
+    source: RegistrationSource,
+    T: Float64Array,
+    settings: RegistrationSettings = DEFAULTS,
 ) -> RegistrationResult:
     """How well a motion fits the points that the previous frame shows; see `RegistrationResult`."""
     points = geometry.transform(T, source.points)
@@ -240,10 +251,10 @@ def evaluate_registration(
     found, points = target.surface.take(cell, axis=0), points[index]
     offset = points - found[:, :3]
     sigma = target.noise.sigma(points[:, 2])
-    seen = np.isfinite(offset[:, 2]) & (offset[:, 2] < 3 * sigma + 0.01)
+    seen = np.isfinite(offset[:, 2]) & (offset[:, 2] < settings.inlier_sigmas * sigma + settings.hidden_margin)
     distance = np.abs((offset * found[:, 3:]).sum(-1))
     distance = np.where(np.isfinite(distance), distance, np.abs(offset[:, 2]))
-    good = seen & (distance < 3 * sigma)
+    good = seen & (distance < settings.inlier_sigmas * sigma)
     if not good.any():
         return RegistrationResult(T, 0.0, float(seen.sum()) / len(source.points), float("inf"))
     return RegistrationResult(
@@ -260,6 +271,6 @@ def _cross(a: Float64Array, b: Float64Array) -> Float64Array:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
-def _tukey(r: NDArray[np.floating]) -> Float64Array:
-    scaled = np.asarray(r, dtype=np.float64) / TUKEY
+def _tukey(r: NDArray[np.floating], constant: float) -> Float64Array:
+    scaled = np.asarray(r, dtype=np.float64) / constant
     return np.where(np.abs(scaled) < 1, (1 - scaled**2) ** 2, 0.0)

@@ -22,6 +22,7 @@ from objectflow import geometry
 from objectflow.alignment import warping
 from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.measured_noise import measure_depth_noise
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
@@ -34,8 +35,7 @@ from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
 
 SCALE_ERROR = 0.1
-"""Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by a
-few percent, and so is the estimated motion of the camera."""
+"""Default of `CompensationConfig.scale_error`."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,10 @@ class CompensationConfig(Settings):
     """Seed of the random minimal sets of the camera's motion."""
     depth_noise: DepthNoiseName = "structured-light"
     """Noise model of the depth camera; measured: fitted to each pair."""
+    scale_error: float = setting(SCALE_ERROR, minimum=0)
+    """Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by
+    a few percent, and so is the estimated motion of the camera."""
+    matching: MatchSettings = MatchSettings()
     camera_motion: CameraMotionSettings = CameraMotionSettings()
 
 
@@ -85,21 +89,23 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         for pair, one in zip(pairs, ready, strict=True):
             motion = _camera_alone(pair, one.prev_T_curr) if one.pair is None else next(static)
             if one.pair is not None and one.prev_T_curr is not None:
-                motion = compose(motion, pair.curr.points, one.prev_T_curr)
+                motion = compose(motion, pair.curr.points, one.prev_T_curr, scale_error=self.scale_error)
             motions.append(motion)
         seconds = (time.perf_counter() - start) / max(1, len(pairs))
         return [dataclasses.replace(motion, seconds=seconds, settings=self.to_dict()) for motion in motions]
 
     def _compensate(self, pair: FramePair) -> _Compensated:
         """The pair as a static camera would have seen it, with the noise of its depth."""
-        pair = pair.with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT))
+        pair = pair.with_matching(self.matching).with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT))
         prev_T_curr = find_camera_motion(pair, camera=self.camera, seed=self.seed, settings=self.camera_motion)
         if self.depth_noise == "measured":
             pair = pair.with_noise(measure_depth_noise(pair, prev_T_curr))
         if prev_T_curr is None:
             return _Compensated(pair, None)
         seen = as_seen_from(pair.prev.frame, prev_T_curr, pair.curr.frame.camera, pair.noise)
-        return _Compensated(None if seen is None else FramePair(seen, pair.curr, noise=pair.noise), prev_T_curr)
+        return _Compensated(
+            None if seen is None else FramePair(seen, pair.curr, noise=pair.noise, matching=pair.matching), prev_T_curr
+        )
 
 
 @dataclass(frozen=True)
@@ -200,7 +206,9 @@ def _close_cracks(depth: Float32Array) -> Float32Array:
     return np.where(crack, 1 / np.maximum(closed, 1e-6), depth).astype(np.float32)
 
 
-def compose(static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array) -> SceneMotion:
+def compose(
+    static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array, *, scale_error: float = SCALE_ERROR
+) -> SceneMotion:
     """Compose motions before a static camera with the motion of the camera.
 
     Objects that moved by less than the error of the camera's motion count as static.
@@ -209,6 +217,7 @@ def compose(static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array
         static: motions from the current frame to the previous one as the current camera would have seen it.
         points: (H, W, 3) metres of the current frame.
         prev_T_curr: the camera's motion.
+        scale_error: see `CompensationConfig`.
 
     Returns:
         Motions from the current frame to the previous camera; the background moves with the camera.
@@ -218,7 +227,7 @@ def compose(static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array
         dataclasses.replace(
             obj,
             prev_T_curr=prev_T_curr @ obj.prev_T_curr,
-            moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr),
+            moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr, scale_error),
         )
         for obj in static.objects
     )
@@ -227,8 +236,8 @@ def compose(static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array
     )
 
 
-def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array) -> bool:
+def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array, scale_error: float) -> bool:
     """Whether an object's own motion exceeds the error of the camera's."""
     passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
-    tolerance = max(STATIC_DISPLACEMENT, SCALE_ERROR * passed)
+    tolerance = max(STATIC_DISPLACEMENT, scale_error * passed)
     return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance))

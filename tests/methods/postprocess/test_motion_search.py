@@ -13,13 +13,15 @@ from helpers.truths import true_objects
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import LikelihoodSettings
+from objectflow.errors import SettingsError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.color_proposals import propose_positions
 from objectflow.methods.postprocess.motion_search import PoseHypotheses, search_motions, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
-from objectflow.methods.postprocess.settings import MotionSearchSettings, PostprocessSettings
+from objectflow.methods.postprocess.settings import MotionSearchSettings, PostprocessSettings, SearchLevelSettings
 from objectflow.motion import ObjectMotion
+from objectflow.settings import build
 
 CAMERA = Camera(160, 120, 120.0, 120.0, 79.5, 59.5)
 DEFAULTS = PostprocessSettings()
@@ -161,6 +163,16 @@ def test_the_settings_can_forbid_every_replacement(settings: MotionSearchSetting
     start = tuple(disturbed(obj, 30.0, (0.04, -0.02, 0.02)) for obj in true_objects(scene))
     assert any(new is not old for old, new in zip(start, search(scene, start), strict=True))
     assert search(scene, start, dataclasses.replace(DEFAULTS, motion_search=settings)) == start
+
+
+def test_search_levels_need_equally_many_values() -> None:
+    fewer = {"motion_search.levels.kept": "16,12"}
+    with pytest.raises(SettingsError, match="search levels need equally many values each, not angles_deg 4.*kept 2"):
+        build(PostprocessSettings, fewer)
+    names = ("angles_deg", "shifts", "perturbed", "kept", "depth_scales", "color_scales")
+    levels = vars(SearchLevelSettings())
+    two = {f"motion_search.levels.{name}": levels[name][:2] for name in names}
+    assert build(PostprocessSettings, two).motion_search.levels.kept == (16, 12)
 
 
 def test_an_object_that_the_previous_frame_does_not_show_keeps_its_motion() -> None:

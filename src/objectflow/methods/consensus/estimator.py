@@ -16,10 +16,12 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
 from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
+from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.frame_pair import MATCH_WIDTH, FramePair
 from objectflow.alignment.likelihood import LikelihoodSettings
-from objectflow.alignment.matching import PixelMatches, inside
+from objectflow.alignment.matching import MatchSettings, PixelMatches, inside
 from objectflow.alignment.measured_noise import measure_depth_noise
+from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, DepthNoiseName
 from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.base import PairEstimator
@@ -51,8 +53,15 @@ class ConsensusConfig(Settings):
     """Rounds of assigning pixels and refining motions."""
     seed: int = setting(0, minimum=0)
     """Seed of the random minimal sets; the same seed gives the same result."""
+    background_sigmas: float = setting(3.0, minimum=0)
+    """Standard deviations: matches up to this distance from the background's motion belong to the background."""
+    max_points: int = setting(2000, minimum=6)
+    """Maximum number of points per object that are registered, sampled evenly."""
+    min_matches: int = setting(6, minimum=3)
+    """Minimum number of matches inside a mask for their fit to be an initial motion."""
     depth_noise: DepthNoiseName = "structured-light"
     """Noise model of the depth camera; measured: fitted to each pair."""
+    matching: MatchSettings = MatchSettings()
     camera_motion: CameraMotionSettings = CameraMotionSettings()
     proposals: ProposalSettings = ProposalSettings()
     likelihood: LikelihoodSettings = LikelihoodSettings()
@@ -61,6 +70,8 @@ class ConsensusConfig(Settings):
     recovery: RecoverySettings = RecoverySettings()
     selection: SelectionSettings = SelectionSettings()
     mask_edges: MaskEdgeSettings = MaskEdgeSettings()
+    fit: FitSettings = FitSettings()
+    registration: RegistrationSettings = RegistrationSettings()
 
 
 class Hypothesis(NamedTuple):
@@ -78,6 +89,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
 
     def estimate(self, pair: FramePair) -> SceneMotion:
         """See `PairEstimator`."""
+        pair = pair.with_matching(self.matching)
         return self.find(pair.with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT)))
 
     def find(
@@ -103,10 +115,12 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             pair = pair.with_noise(measure_depth_noise(pair, camera_motion))
             full = pair.at_width(self.match_width)
         # 3. Propose rigid motions of the remaining matches.
-        movers = _moving(full.matches, background, full)
+        movers = _moving(full.matches, background, full, self.background_sigmas)
         if known is not None:
             movers = movers[~inside(known, movers, full.curr.frame.camera)]
-        proposed = propose(movers, full.curr.frame.camera, rng=rng, noise=full.noise, settings=self.proposals)
+        proposed = propose(
+            movers, full.curr.frame.camera, rng=rng, noise=full.noise, fit=self.fit, settings=self.proposals
+        )
         hypotheses = [Hypothesis(p.prev_T_curr, p.matches.curr, p.matches) for p in proposed]
         # 4. Assign pixels to motions and refine the motions of the pixels, in turn.
         small = pair.at_width(self.label_width)
@@ -128,11 +142,26 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             masks, hypotheses = self._assign_and_refine(assignment, hypotheses, full, movers, fine=fine)
             if not fine:
                 motions = [h.prev_T_curr for h in hypotheses]
-                more = recover_unexplained(assignment, masks, motions, full, movers, self.recovery)
+                more = recover_unexplained(
+                    assignment,
+                    masks,
+                    motions,
+                    full,
+                    movers,
+                    self.recovery,
+                    fit=self.fit,
+                    registration=self.registration,
+                )
                 hypotheses += [Hypothesis(f.prev_T_curr, assignment.points[f.mask], f.matches, f.mask) for f in more]
         # 5. Select the objects that moved, and regions that no motion explains.
         labels_s, objects = select_objects(
-            assignment, masks, [h.prev_T_curr for h in hypotheses], full.curr.frame.camera, movers, self.selection
+            assignment,
+            masks,
+            [h.prev_T_curr for h in hypotheses],
+            full.curr.frame.camera,
+            movers,
+            self.selection,
+            fit=self.fit,
         )
         # 6. Upsample the labels to the full image and compute the flow from the motions.
         labels = upsample_labels(labels_s, small.curr.frame, curr, pair.noise, self.mask_edges)
@@ -161,10 +190,12 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
         for label, mask in assignment.split(labels):
             initial = motions[label - 1]
             own = movers[inside(mask, movers, frame.camera)]
-            source = full.sources.take(upsample_mask(mask, frame.depth.shape), limit=2000)
-            if len(own.curr) >= 6:
-                initial = _better_initial(initial, own, full)
-            motion = registration.refine(full.target, source, initial, matches=own).prev_T_curr
+            source = full.sources.take(upsample_mask(mask, frame.depth.shape), limit=self.max_points)
+            if len(own.curr) >= self.min_matches:
+                initial = _better_initial(initial, own, full, self.fit)
+            motion = registration.refine(
+                full.target, source, initial, matches=own, settings=self.registration
+            ).prev_T_curr
             refined.append(Hypothesis(motion, assignment.anchors(mask, motion), own, mask))
             masks.append(mask)
         kept = prune(assignment, masks, [h.prev_T_curr for h in refined], self.selection)
@@ -209,19 +240,22 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
         )
 
 
-def _moving(matches: PixelMatches, background: Float64Array, pair: FramePair) -> PixelMatches:
+def _moving(matches: PixelMatches, background: Float64Array, pair: FramePair, sigmas: float) -> PixelMatches:
     """Matches that lie farther from the background's motion than noise explains."""
     error = np.linalg.norm(geometry.transform(background, matches.curr) - matches.prev, axis=1)
-    return matches[error > 3 * pair.noise.match_sigma(matches.curr[:, 2], pair.curr.frame.camera)]
+    return matches[error > sigmas * pair.noise.match_sigma(matches.curr[:, 2], pair.curr.frame.camera)]
 
 
-def _better_initial(prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair) -> Float64Array:
+def _better_initial(
+    prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair, fit: FitSettings
+) -> Float64Array:
     """The fit to the matches, where it is better than the motion so far by more than six free parameters explain."""
-    fitted = fitting.fit_matches(matches, pair.curr.frame.camera, noise=pair.noise)[0]
-    gain = _misfit(prev_T_curr, matches, pair) - _misfit(fitted, matches, pair)
+    fitted = fitting.fit_matches(matches, pair.curr.frame.camera, noise=pair.noise, settings=fit)[0]
+    limit = fit.inlier_sigmas
+    gain = _misfit(prev_T_curr, matches, pair, limit) - _misfit(fitted, matches, pair, limit)
     return fitted if gain > max(6.0, 0.1 * len(matches.curr)) else prev_T_curr
 
 
-def _misfit(prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair) -> float:
+def _misfit(prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair, limit: float) -> float:
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
-    return float(np.minimum(error / pair.noise.match_sigma(matches.curr[:, 2], pair.curr.frame.camera), 3).sum())
+    return float(np.minimum(error / pair.noise.match_sigma(matches.curr[:, 2], pair.curr.frame.camera), limit).sum())

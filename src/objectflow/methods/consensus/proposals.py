@@ -9,6 +9,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting
+from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.matching import PixelMatches
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import DepthNoise
@@ -30,6 +31,14 @@ class ProposalSettings(Settings):
     """Maximum distance in metres between two matches of one motion, at depth 0."""
     reach_slope: float = setting(0.35, minimum=0)
     """Increase of that distance per metre of median depth."""
+    distance_sigmas: float = setting(2.0, above=0)
+    """Standard deviations: largest change of a distance between two matches of one motion."""
+    inlier_sigmas: float = setting(3.0, above=0)
+    """Standard deviations: largest error of an inlier."""
+    weight_sigmas: float = setting(4.0, above=0)
+    """Standard deviations from which a match has no weight in the fits, and up to which it counts as explained."""
+    member_distance: float = setting(0.08, minimum=0)
+    """Metres: largest distance of an explained match to an inlier of the motion."""
 
 
 DEFAULTS = ProposalSettings()
@@ -48,6 +57,7 @@ def propose(
     *,
     rng: np.random.Generator,
     noise: DepthNoise,
+    fit: FitSettings,
     settings: ProposalSettings = DEFAULTS,
 ) -> list[Proposal]:
     """Propose motions by greedy maximum coverage: repeatedly the motion with most inliers among remaining matches.
@@ -60,6 +70,7 @@ def propose(
         camera: converts the matching error to metres.
         rng: subsamples the matches if there are more than `max_matches`.
         noise: depth noise model.
+        fit: how a motion is fitted to its inliers.
         settings: the settings.
     """
     if len(matches.curr) > settings.max_matches:
@@ -79,11 +90,11 @@ def propose(
             members = follows[index]
             if (members & free).sum() < 0.8 * members.sum() or (members & free).sum() < settings.min_support:
                 continue
-            prev_T_curr, inliers = fitting.fit_matches(left[members & free], camera, noise=noise)
+            prev_T_curr, inliers = fitting.fit_matches(left[members & free], camera, noise=noise, settings=fit)
             if inliers.sum() < settings.min_support:
                 continue
             found.append(Proposal(prev_T_curr, left[members & free][inliers]))
-            free &= ~_explained(prev_T_curr, left, camera, noise, found[-1].matches)
+            free &= ~_explained(prev_T_curr, left, camera, noise, found[-1].matches, settings)
             free &= ~members
             taken_here += 1
         if taken_here == 0:
@@ -100,18 +111,19 @@ def _candidates(
     sigma = noise.match_sigma(matches.curr[:, 2], camera).astype(np.float64)
     near = _distances(curr)
     reach = settings.reach_slope * np.median(curr[:, 2]) + settings.reach_base
-    compatible = np.abs(near - _distances(prev)) < 2 * np.hypot(sigma[:, None], sigma[None, :])
+    compatible = np.abs(near - _distances(prev)) < settings.distance_sigmas * np.hypot(sigma[:, None], sigma[None, :])
     compatible &= near < reach
     # Distant neighbours determine the rotation, so the weight falls slowly with distance.
     weights: Float64Array = np.where(compatible, np.exp(-((near / (0.5 * reach)) ** 2)), 0.0)
     motions, determined = _fit_all(weights, curr, prev)
     for _ in range(3):
         error = _errors(motions, curr, prev) / sigma
-        weights = np.where(near < reach, np.clip(1 - (error / 4) ** 2, 0, None) ** 2, 0.0)
+        weights = np.where(near < reach, np.clip(1 - (error / settings.weight_sigmas) ** 2, 0, None) ** 2, 0.0)
         motions, determined = _fit_all(weights, curr, prev)
     error = _errors(motions, curr, prev) / sigma
-    follows = (error < 3) & (near < reach) & determined[:, None]
-    scores = (follows * (1 - (np.minimum(error, 3) / 3) ** 2)).sum(1)
+    limit = settings.inlier_sigmas
+    follows = (error < limit) & (near < reach) & determined[:, None]
+    scores = (follows * (1 - (np.minimum(error, limit) / limit) ** 2)).sum(1)
     return follows, scores
 
 
@@ -140,10 +152,15 @@ def _distances(points: Float64Array) -> Float64Array:
 
 
 def _explained(
-    prev_T_curr: Float64Array, matches: PixelMatches, camera: Camera, noise: DepthNoise, members: PixelMatches
+    prev_T_curr: Float64Array,
+    matches: PixelMatches,
+    camera: Camera,
+    noise: DepthNoise,
+    members: PixelMatches,
+    settings: ProposalSettings,
 ) -> BoolMask:
-    """(N,) bool: matches consistent with a motion and within 8 cm of one of its members."""
+    """(N,) bool: matches consistent with a motion and near one of its members."""
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
     gap = np.linalg.norm(matches.curr[:, None] - members.curr[None], axis=-1).min(1)
-    return np.asarray((error < 4 * sigma) & (gap < 0.08))
+    return np.asarray((error < settings.weight_sigmas * sigma) & (gap < settings.member_distance))

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment import fitting
+from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.likelihood import motion_confidence
 from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.geometry.camera import Camera
@@ -64,6 +65,8 @@ def select_objects(
     camera: Camera,
     movers: PixelMatches,
     settings: SelectionSettings,
+    *,
+    fit: FitSettings,
 ) -> tuple[LabelImage, list[Selection]]:
     """Decide what is reported.
 
@@ -74,6 +77,7 @@ def select_objects(
         camera: to which the pixels of `movers` refer.
         movers: matches that do not follow the background.
         settings: see there.
+        fit: how a motion is fitted to the matches of a region that no motion explains.
 
     Returns:
         (H, W) int32 labels at the size of the assignment, and a selection for each label from 1.
@@ -101,9 +105,9 @@ def select_objects(
         own = movers[inside(region, movers, camera)]
         motion = assignment.background
         if len(own.curr) >= 6:
-            motion = fitting.fit_matches(own, camera, noise=assignment.pair.noise)[0]
-        fit = float((assignment.cost(motion, assignment.around_mask(region))[region] < 2).mean())
-        selections.append(Selection(motion, round(0.25 * fit, 4), True))
+            motion = fitting.fit_matches(own, camera, noise=assignment.pair.noise, settings=fit)[0]
+        share = float((assignment.cost(motion, assignment.around_mask(region))[region] < 2).mean())
+        selections.append(Selection(motion, round(0.25 * share, 4), True))
         labels[region & (labels == 0)] = len(selections)
     return labels, selections
 

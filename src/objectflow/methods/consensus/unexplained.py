@@ -14,9 +14,15 @@ import numpy as np
 from scipy import ndimage
 
 from objectflow import geometry
-from objectflow.alignment import fitting, registration
+from objectflow.alignment.fitting import FitSettings, fit_matches
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import PixelMatches, inside
+from objectflow.alignment.registration import (
+    RegistrationSettings,
+    RegistrationSource,
+    evaluate_registration,
+    refine,
+)
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import DepthNoise
 from objectflow.geometry.resample import upsample_mask
@@ -43,6 +49,8 @@ class RecoverySettings(Settings):
     """Maximum number of points that are registered."""
     min_gain: float = setting(0.7, minimum=0)
     """Minimum mean cost per pixel that a recovered motion saves against the best known one."""
+    agreeing_sigmas: float = setting(4.0, above=0)
+    """Standard deviations: largest distance of a match that agrees with a motion."""
 
 
 class RecoveredObject(NamedTuple):
@@ -60,6 +68,9 @@ def recover_unexplained(
     pair: FramePair,
     movers: PixelMatches,
     settings: RecoverySettings,
+    *,
+    fit: FitSettings,
+    registration: RegistrationSettings,
 ) -> list[RecoveredObject]:
     """Motions of regions that neither the background nor any known motion explains.
 
@@ -70,6 +81,7 @@ def recover_unexplained(
         pair: the frames at the size of registration and matches.
         movers: matches that do not follow the background.
         settings: see there.
+        fit, registration: how initial motions are fitted to matches, and how they are registered.
     """
     frame = pair.curr.frame
     claimed = np.zeros(assignment.valid.shape, bool)
@@ -91,13 +103,13 @@ def recover_unexplained(
         own = movers[inside(wide, movers, frame.camera)]
         box = assignment.around_mask(region)
         source = pair.sources.take(upsample_mask(wide, frame.depth.shape), limit=settings.max_points)
-        initial = _initial_motions(assignment, region, own, vanished, settings)
-        best = _register(assignment, region, pair, source, own, initial, settings)
+        initial = _initial_motions(assignment, region, own, vanished, settings, fit)
+        best = _register(assignment, region, pair, source, own, initial, settings, registration)
         if best is None:
             continue
         rival = np.minimum.reduce([assignment.background_cost, *[assignment.cost(motion, box) for motion in motions]])
         if float(assignment.cost(best, box)[region].mean()) < float(rival[region].mean()) - settings.min_gain:
-            found.append(RecoveredObject(best, region, _agreeing(own, best, frame.camera, pair.noise)))
+            found.append(RecoveredObject(best, region, _agreeing(own, best, frame.camera, pair.noise, settings)))
     return found
 
 
@@ -105,22 +117,20 @@ def _register(
     assignment: Assignment,
     region: BoolMask,
     pair: FramePair,
-    source: registration.RegistrationSource,
+    source: RegistrationSource,
     own: PixelMatches,
     initial: list[Float64Array],
     settings: RecoverySettings,
+    registration: RegistrationSettings,
 ) -> Float64Array | None:
     """The registered motion that explains a region best, from the most promising initial motions; None without any."""
     target = pair.target
-    promising = sorted(initial, key=lambda start: -registration.evaluate_registration(target, source, start).fitness)[
-        : settings.max_initial
-    ]
-    refined = [
-        registration.refine(
-            target, source, start, matches=_agreeing(own, start, target.camera, pair.noise)
-        ).prev_T_curr
-        for start in promising
-    ]
+    fitness = [evaluate_registration(target, source, start, registration).fitness for start in initial]
+    order = sorted(range(len(initial)), key=lambda k: -fitness[k])
+    refined = []
+    for start in (initial[k] for k in order[: settings.max_initial]):
+        agreeing = _agreeing(own, start, target.camera, pair.noise, settings)
+        refined.append(refine(target, source, start, matches=agreeing, settings=registration).prev_T_curr)
     box = assignment.around_mask(region)
     return min(refined, key=lambda motion: float(assignment.cost(motion, box)[region].mean()), default=None)
 
@@ -148,6 +158,7 @@ def _initial_motions(
     own: PixelMatches,
     vanished: list[Float32Array],
     settings: RecoverySettings,
+    fit: FitSettings,
 ) -> list[Float64Array]:
     """Initial motions: the fit to the matches, their median shift, and shifts to where something vanished."""
     camera = assignment.pair.curr.frame.camera
@@ -157,7 +168,7 @@ def _initial_motions(
     if len(own.curr) >= 3:
         initial.append(_shifted(assignment.background, np.median(own.prev - own.curr, axis=0) - (here - center)))
     if len(own.curr) >= 6:
-        initial.append(fitting.fit_matches(own, camera, noise=assignment.pair.noise)[0])
+        initial.append(fit_matches(own, camera, noise=assignment.pair.noise, settings=fit)[0])
     for points in vanished:
         shift = np.median(points, axis=0) - here
         if np.linalg.norm(shift) < settings.max_distance:
@@ -173,7 +184,9 @@ def _shifted(background: Float64Array, shift: Float64Array | Float32Array) -> Fl
     return moved
 
 
-def _agreeing(matches: PixelMatches, prev_T_curr: Float64Array, camera: Camera, noise: DepthNoise) -> PixelMatches:
-    """The matches within four standard deviations of a motion."""
+def _agreeing(
+    matches: PixelMatches, prev_T_curr: Float64Array, camera: Camera, noise: DepthNoise, settings: RecoverySettings
+) -> PixelMatches:
+    """The matches that agree with a motion."""
     error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr) - matches.prev, axis=1)
-    return matches[error < 4 * noise.match_sigma(matches.curr[:, 2], camera)]
+    return matches[error < settings.agreeing_sigmas * noise.match_sigma(matches.curr[:, 2], camera)]

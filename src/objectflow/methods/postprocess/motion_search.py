@@ -8,7 +8,6 @@ are perturbed and selected at ever finer levels, and the last few are registered
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +23,9 @@ from objectflow.methods.postprocess.settings import MotionSearchSettings, Postpr
 from objectflow.motion import ObjectMotion
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
 
-_ANGLES = np.radians([35.0, 70.0])
 _AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float64)
 _AXES /= np.linalg.norm(_AXES, axis=1, keepdims=True)
-_FIRST_POINTS, _POINTS = 60, 120
-"""Number of points on which hypotheses are evaluated, at the first level and after it."""
+"""Axes of the first rotations: the axes of the camera and the diagonals of its octants."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,33 +48,6 @@ class PoseHypotheses:
         return PoseHypotheses(
             np.concatenate([self.rotations, other.rotations]), np.concatenate([self.positions, other.positions])
         )
-
-
-class SearchLevel(NamedTuple):
-    """One level of the search.
-
-    Attributes:
-        angle, shift: standard deviations of the perturbation, in radians and metres.
-        number: of perturbed hypotheses.
-        kept: number of hypotheses that survive.
-        depth_scale, color_scale: of the likelihood; see `SearchLikelihood`.
-    """
-
-    angle: float
-    shift: float
-    number: int
-    kept: int
-    depth_scale: float
-    color_scale: float
-
-
-_FIRST_LEVEL = SearchLevel(0.0, 0.0, 0, 24, 0.03, 14.0)
-_LEVELS = (
-    SearchLevel(np.radians(25), 0.020, 480, 16, 0.025, 12.0),
-    SearchLevel(np.radians(15), 0.015, 360, 12, 0.020, 10.0),
-    SearchLevel(np.radians(10), 0.010, 240, 8, 0.015, 9.0),
-    SearchLevel(np.radians(5), 0.005, 160, 6, 0.012, 8.0),
-)
 
 
 def search_motions(
@@ -111,6 +81,7 @@ def search_motions(
         pair.at_width(search.width),
         cost_out_of_view=search.cost_out_of_view,
         free_space_violation=settings.likelihood.free_space_violation,
+        settings=search.likelihood,
     )
     found = {number: _search(frames, likelihood, mask, motions[number], search) for number, mask in doubted.items()}
     tolerance = settings.static_test.static_displacement
@@ -149,10 +120,9 @@ def _search(
     own, static = (likelihood.cost(motion, mask, out_of_view=out_of_view).mean() for motion in (first, np.eye(4)))
     best, out = min(own, static) - settings.min_cost_reduction, first
     count = settings.registered
-    steps = registration.RegistrationSettings(iterations=settings.iterations)
     for rotation, position in zip(hypotheses.rotations[:count], hypotheses.positions[:count], strict=True):
         start = geometry.make_transform(rotation, position - rotation @ center)
-        motion = registration.refine(pair.target, source, start, settings=steps).prev_T_curr
+        motion = registration.refine(pair.target, source, start, settings=settings.registration).prev_T_curr
         cost = likelihood.cost(motion, mask, out_of_view=out_of_view)
         distance = np.linalg.norm(geometry.transform(motion, center) - geometry.transform(first, center))
         total = float(cost.mean()) + settings.cost_per_metre * float(distance)
@@ -183,41 +153,46 @@ def coarse_to_fine_search(
     centered = (points - center).astype(np.float32)
     expected = geometry.transform(first, center)
 
-    def evaluate(hypotheses: PoseHypotheses, level: SearchLevel, count: int) -> Float64Array:
+    def evaluate(hypotheses: PoseHypotheses, count: int, depth_scale: float, color_scale: float) -> Float64Array:
         cost = frames(
             hypotheses.rotations,
             hypotheses.positions,
             centered[:count],
             appearance[:count],
-            depth_scale=level.depth_scale,
-            color_scale=level.color_scale,
+            depth_scale=depth_scale,
+            color_scale=color_scale,
         )
         distance = np.linalg.norm(hypotheses.positions - expected, axis=1)
         penalty = np.minimum(settings.cost_per_metre * distance, settings.max_distance_cost)
         return np.asarray(cost + penalty, dtype=np.float64)
 
-    turns = np.concatenate([np.eye(3)[None], *(geometry.so3_exp(s * t * _AXES) for t in _ANGLES for s in (1, -1))])
-    positions = np.concatenate(
-        [[expected, center], propose_positions(frames, points, appearance, settings.max_positions)]
-    )
+    begin, levels = settings.start, settings.levels
+    angles = np.radians(begin.angles_deg)
+    turns = np.concatenate([np.eye(3)[None], *(geometry.so3_exp(s * t * _AXES) for t in angles for s in (1, -1))])
+    by_color = propose_positions(frames, points, appearance, settings.max_positions, settings.colors)
+    positions = np.concatenate([[expected, center], by_color])
     hypotheses = PoseHypotheses(np.tile(turns, (len(positions), 1, 1)), np.repeat(positions, len(turns), axis=0))
     hypotheses += PoseHypotheses(np.stack([first[:3, :3]] * 2), np.stack([expected, center]))
-    cost = evaluate(hypotheses, _FIRST_LEVEL, _FIRST_POINTS)
-    hypotheses = hypotheses.take(suppress_duplicates(hypotheses, cost, _FIRST_LEVEL.kept, np.radians(20), 0.02))
-    for level in _LEVELS:
-        hypotheses += perturb(hypotheses, level, random)
-        cost = evaluate(hypotheses, level, _POINTS)
-        kept = suppress_duplicates(hypotheses, cost, level.kept, level.angle / 2, level.shift / 2)
-        hypotheses = hypotheses.take(kept)
+    cost = evaluate(hypotheses, begin.points, begin.depth_scale, begin.color_scale)
+    hypotheses = hypotheses.take(
+        suppress_duplicates(hypotheses, cost, begin.kept, np.radians(begin.min_angle_deg), begin.min_shift)
+    )
+    for k, shift in enumerate(levels.shifts):
+        angle = np.radians(levels.angles_deg[k])
+        hypotheses += perturb(hypotheses, levels.perturbed[k], angle, shift, random)
+        cost = evaluate(hypotheses, levels.points, levels.depth_scales[k], levels.color_scales[k])
+        hypotheses = hypotheses.take(suppress_duplicates(hypotheses, cost, levels.kept[k], angle / 2, shift / 2))
     return hypotheses
 
 
-def perturb(hypotheses: PoseHypotheses, level: SearchLevel, random: np.random.Generator) -> PoseHypotheses:
-    """About `level.number` hypotheses, rotated and shifted at random."""
-    times = max(1, level.number // len(hypotheses.rotations))
+def perturb(
+    hypotheses: PoseHypotheses, number: int, angle: float, shift: float, random: np.random.Generator
+) -> PoseHypotheses:
+    """About `number` hypotheses, rotated and shifted at random with standard deviations in radians and metres."""
+    times = max(1, number // len(hypotheses.rotations))
     index = np.repeat(np.arange(len(hypotheses.rotations)), times)
-    turns = geometry.so3_exp(random.normal(size=(len(index), 3)) * level.angle / np.sqrt(3))
-    shifts = random.normal(size=(len(index), 3)) * level.shift
+    turns = geometry.so3_exp(random.normal(size=(len(index), 3)) * angle / np.sqrt(3))
+    shifts = random.normal(size=(len(index), 3)) * shift
     return PoseHypotheses(turns @ hypotheses.rotations[index], hypotheses.positions[index] + shifts)
 
 

@@ -6,18 +6,10 @@ import cv2
 import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.methods.postprocess.settings import SearchLikelihoodSettings
 from objectflow.typing import Float32Array, Float64Array, UInt8Array
 
-_BLUR = 2.0
-"""Pixels: standard deviation of the blur, which widens the basin of the colour term."""
-_LIGHTNESS = 0.25
-"""Weight of lightness relative to the colour channels; it changes when an object rotates relative to the light."""
-_MAX_COLOR = 2.0
-"""Highest cost of a colour difference."""
-_CHANGED_BY = np.array([3.0, 12.0, 12.0], np.float32)
-"""Difference in each appearance channel from which a pixel counts as changed."""
-_DEPTH_CHANGE = 0.015
-"""Metres: difference in depth from which a pixel counts as changed."""
+DEFAULTS = SearchLikelihoodSettings()
 
 
 class SearchLikelihood:
@@ -30,15 +22,23 @@ class SearchLikelihood:
         changed: (H, W) bool: pixels of the previous frame whose colour or depth changed.
     """
 
-    def __init__(self, pair: FramePair, *, cost_out_of_view: float, free_space_violation: float) -> None:
+    def __init__(
+        self,
+        pair: FramePair,
+        *,
+        cost_out_of_view: float,
+        free_space_violation: float,
+        settings: SearchLikelihoodSettings = DEFAULTS,
+    ) -> None:
         prev, curr = pair.prev.frame, pair.curr.frame
-        self._out_of_view, self._violation = cost_out_of_view, free_space_violation
+        self._out_of_view, self._violation, self._settings = cost_out_of_view, free_space_violation, settings
         self.camera = prev.camera
         self.prev_points = pair.prev.points
-        self.prev_appearance, self.curr_appearance = _appearance(prev.color), _appearance(curr.color)
+        self.prev_appearance, self.curr_appearance = (_appearance(frame.color, settings) for frame in (prev, curr))
         known = (prev.depth > 0) & (curr.depth > 0)
-        moved = known & (np.abs(prev.depth - curr.depth) > _DEPTH_CHANGE)
-        self.changed = moved | (np.abs(self.prev_appearance - self.curr_appearance) > _CHANGED_BY).any(-1)
+        moved = known & (np.abs(prev.depth - curr.depth) > settings.changed_depth)
+        limits = np.array([settings.changed_lightness, *[settings.changed_color] * 2], np.float32)
+        self.changed = moved | (np.abs(self.prev_appearance - self.curr_appearance) > limits).any(-1)
         depth = np.where(prev.depth > 0, prev.depth, np.float32(np.nan))
         self._table = np.concatenate([depth[..., None], self.prev_appearance], -1).reshape(-1, 4)
 
@@ -54,8 +54,8 @@ class SearchLikelihood:
     ) -> Float32Array:
         """The mean cost of points under each motion.
 
-        Each point is compared with one pixel: squared depth difference up to 4.5, as in
-        `alignment.likelihood.motion_cost`, and squared colour difference up to 2.
+        Each point is compared with one pixel by squared differences of depth and colour, each up to a highest cost, as
+        in `alignment.likelihood.motion_cost`.
 
         Args:
             rotations, translations: (K, 3, 3) and (K, 3): P_prev = rotation P_curr + translation.
@@ -80,12 +80,15 @@ class SearchLikelihood:
         apart = seen[..., 1:] - appearance
         apart *= apart
         color = (apart[..., 0] + apart[..., 1] + apart[..., 2]) * np.float32(0.5 / color_scale**2)
-        cost = np.minimum(offset * offset, 9) * np.float32(0.5) + np.minimum(color, _MAX_COLOR)
-        cost[offset < -3] = self._violation
-        cost[~(inside & (offset <= 2) | (offset < -3))] = self._out_of_view
+        settings = self._settings
+        cost = np.minimum(offset * offset, settings.outlier_sigmas**2) * np.float32(0.5)
+        cost += np.minimum(color, settings.max_color)
+        before = offset < -settings.outlier_sigmas
+        cost[before] = self._violation
+        cost[~(inside & (offset <= settings.hidden_sigmas) | before)] = self._out_of_view
         return np.asarray(cost.mean(axis=1))
 
 
-def _appearance(color: UInt8Array) -> Float32Array:
-    lab = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32), (0, 0), _BLUR)
-    return np.asarray(lab * np.array([_LIGHTNESS, 1, 1], np.float32))
+def _appearance(color: UInt8Array, settings: SearchLikelihoodSettings) -> Float32Array:
+    lab = cv2.GaussianBlur(cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32), (0, 0), settings.blur_px)
+    return np.asarray(lab * np.array([settings.lightness_weight, 1, 1], np.float32))

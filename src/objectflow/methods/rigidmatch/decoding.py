@@ -62,6 +62,7 @@ def decode(
     *,
     threshold: float = OBJECT_MASK_THRESHOLD,
     min_pixels: int = MIN_PIXELS,
+    overlap_threshold: float = OVERLAP_THRESHOLD,
 ) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
     """Assign each pixel to its most probable object (as in MaskFormer, Cheng et al. 2021).
 
@@ -70,6 +71,7 @@ def decode(
         size: (H, W) of the network's input.
         threshold: minimum object probability.
         min_pixels: minimum size of an object in pixels.
+        overlap_threshold: minimum share of its mask that an object keeps where masks overlap.
 
     Returns:
         (H, W) int32 labels, 0 = background, and one object per label.
@@ -87,7 +89,7 @@ def decode(
         return np.zeros(size, np.int32), ()
     logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
     masks = logits[0, :, : size[0], : size[1]].sigmoid()
-    won, counts, left = resolve_overlaps(masks.flatten(1), probability[kept], min_pixels)
+    won, counts, left = resolve_overlaps(masks.flatten(1), probability[kept], min_pixels, overlap_threshold)
     if not len(left):
         return np.zeros(size, np.int32), ()
     kept = kept[left]
@@ -117,13 +119,16 @@ def decode(
     return relabel_present(labels, objects)
 
 
-def resolve_overlaps(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, list[int], Tensor]:
+def resolve_overlaps(
+    claim: Tensor, sure: Tensor, least: int, overlap_threshold: float
+) -> tuple[Tensor, list[int], Tensor]:
     """Assign pixels to masks, and remove masks until each remaining mask keeps enough of its pixels.
 
     Args:
         claim: (K, P) mask probability per pixel.
         sure: (K,) object probability.
         least: minimum number of pixels assigned to a mask.
+        overlap_threshold: minimum share of its pixels that a mask keeps.
 
     Returns:
         (P,) number from 1 of the pixel's mask among the remaining masks, 0 where the mask probability is at most 0.5;
@@ -138,7 +143,7 @@ def resolve_overlaps(claim: Tensor, sure: Tensor, least: int) -> tuple[Tensor, l
         won = inside.gather(0, winner[None])[0]
         counts = torch.bincount(winner[won], minlength=len(claim)).cpu().numpy()
         share = counts / np.maximum(areas, 1)
-        weak = ~removed & ((counts < least) | (counts < OVERLAP_THRESHOLD * areas))
+        weak = ~removed & ((counts < least) | (counts < overlap_threshold * areas))
         if not weak.any():
             break
         # The mask with the smallest share is removed first, since its pixels may raise the share of another mask.

@@ -27,6 +27,7 @@ from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.rigidmatch.decoding import (
     MIN_PIXELS,
     OBJECT_MASK_THRESHOLD,
+    OVERLAP_THRESHOLD,
     decode,
     matched_flow,
     select,
@@ -53,6 +54,8 @@ class RigidMatchConfig(CompensationConfig):
     """Minimum probability of an object."""
     min_pixels: int = setting(MIN_PIXELS, minimum=1)
     """Minimum size of an object, in pixels of the network's input."""
+    overlap_threshold: float = setting(OVERLAP_THRESHOLD, minimum=0, maximum=1)
+    """Minimum share of its mask that an object keeps where masks overlap; an object with less is removed."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
@@ -111,7 +114,13 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         """One pair's output as objects on the pixels of its current frame."""
         curr, points = pair.curr.frame, pair.curr.points
         # 1. Objects on the network's input.
-        labels_s, objects = decode(output, size, threshold=self.threshold, min_pixels=self.min_pixels)
+        labels_s, objects = decode(
+            output,
+            size,
+            threshold=self.threshold,
+            min_pixels=self.min_pixels,
+            overlap_threshold=self.overlap_threshold,
+        )
         # 2. The pixels of the frame.
         rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
         labels, objects = relabel_present(labels_s[rows[:, None], columns], objects)
