@@ -148,7 +148,8 @@ def test_other_match_settings_keep_the_prepared_frames() -> None:
     sparse = pair.with_matching(MatchSettings(narrow_stride=16))
     assert (sparse.prev, sparse.curr, sparse.noise) == (pair.prev, pair.curr, pair.noise)
     assert sparse.at_width(160).matching == sparse.followed_by(SCENE.prev).matching == MatchSettings(narrow_stride=16)
-    assert 12 < len(pair.matches.pixels) / len(sparse.matches.pixels) < 20  # one in sixteen, besides the features
+    on_grid, on_sparse_grid = (np.sum((one.matches.pixels % 1 == 0).all(axis=1)) for one in (pair, sparse))
+    assert 14 < on_grid / on_sparse_grid < 18  # one in sixteen
 
 
 def test_prepared_frames_are_taken_as_they_are() -> None:

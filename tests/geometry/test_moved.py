@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
+from objectflow.geometry import Camera, make_transform
+from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, exceeds_noise, is_moving
 
 
 @pytest.mark.parametrize(("metres", "moving"), [(0.0, False), (0.0039, False), (0.0041, True), (1.0, True)])
@@ -48,3 +49,23 @@ def test_batches() -> None:
     assert nested.shape == (2, 2)
     assert nested.dtype == np.bool_
     assert nested.ravel().tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("shift", "exceeds"),
+    [
+        ((0.0013, 0, 0), False),  # 0.65 pixels at 1 m, 0.7 standard deviations of depth
+        ((0.0015, 0, 0), True),  # 0.75 pixels
+        ((0, 0, 0.0056), False),  # 2.97 standard deviations along the optical axis
+        ((0, 0, 0.0058), True),  # 3.07
+    ],
+)
+def test_a_cameras_motion_exceeds_noise_in_pixels_or_in_depth(shift: tuple[float, ...], exceeds: bool) -> None:
+    """At 1 m, a pixel of this camera is 2 mm, and the depth of a structured-light camera is off by 1.884 mm."""
+    camera = Camera(64, 48, 500.0, 500.0, 31.5, 23.5)
+    points = np.array([[0.0, 0, 1], [0.01, 0, 1], [-0.01, 0.01, 1]])
+    motion = make_transform(np.eye(3), shift)
+    assert exceeds_noise(motion, points, camera) is exceeds
+    assert not exceeds_noise(motion, points, camera, shift_px=1.0, sigmas=4.0)
+    assert exceeds_noise(motion, points, camera, shift_px=0.0)
+    assert not exceeds_noise(motion, points[:0], camera)

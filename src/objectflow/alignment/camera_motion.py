@@ -14,6 +14,7 @@ from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.geometry.moved import STATIC_SHIFT_PX, STATIC_SIGMAS, exceeds_noise
 from objectflow.geometry.resample import upsample_mask
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float64Array
@@ -33,9 +34,9 @@ class CameraMotionSettings(Settings):
     """Minimum number of matches that follow the camera's motion."""
     max_points: int = setting(8000, minimum=6)
     """Maximum number of points that are registered."""
-    static_shift_px: float = setting(0.7, minimum=0)
+    static_shift_px: float = setting(STATIC_SHIFT_PX, minimum=0)
     """Pixels: a median shift below this, together with `static_sigmas`, counts as no motion."""
-    static_sigmas: float = setting(3.0, minimum=0)
+    static_sigmas: float = setting(STATIC_SIGMAS, minimum=0)
     """Standard deviations of depth: see `static_shift_px`."""
     min_gain_ratio: float = setting(2.0, minimum=0)
     """The motion must reduce the squared errors of matches by this factor times what it adds to others."""
@@ -83,7 +84,7 @@ def background_motion(
         ).prev_T_curr
     if camera == "moving":
         return np.eye(4) if moved is None else moved
-    if moved is None or not _exceeds_noise(moved, matches, source, frame.camera, pair.noise, settings):
+    if moved is None or not _is_significant(moved, matches, source, frame.camera, pair.noise, settings):
         return None
     return moved
 
@@ -123,7 +124,7 @@ def dominant_motion(
     return prev_T_curr, inliers
 
 
-def _exceeds_noise(
+def _is_significant(
     moved: Float64Array,
     matches: PixelMatches,
     source: registration.RegistrationSource,
@@ -131,13 +132,9 @@ def _exceeds_noise(
     noise: DepthNoise,
     settings: CameraMotionSettings,
 ) -> bool:
-    """Whether a background motion explains matches that no motion leaves unexplained, and more than it loses."""
-    shift = np.linalg.norm(geometry.transform(moved, source.points) - source.points, axis=1)
-    pixels = geometry.project(source.points, camera)
-    carried = geometry.project(geometry.transform(moved, source.points), camera)
-    slide = np.linalg.norm(carried - pixels, axis=1)
-    in_sigmas = np.median(shift / noise.sigma(source.points[:, 2]))
-    if np.nanmedian(slide) < settings.static_shift_px and in_sigmas < settings.static_sigmas:
+    """Whether a background motion exceeds noise and explains more matches than it leaves unexplained."""
+    tolerance = {"shift_px": settings.static_shift_px, "sigmas": settings.static_sigmas}
+    if not exceeds_noise(moved, source.points, camera, noise=noise, **tolerance):
         return False
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     with_motion = np.linalg.norm(geometry.transform(moved, matches.curr) - matches.prev, axis=1) / sigma

@@ -47,7 +47,8 @@ class RigidMatchTargets(NamedTuple):
         masks: (B, K, H, W) float: each object's cells; all 0 for rows without cells.
         votes: (B, 6, H, W) metres: [X, X + T].
         in_both: (B, K) bool: the object is visible in the previous frame too.
-        moving: (B, K) bool: its mean displacement exceeds `STATIC_DISPLACEMENT`.
+        moving: (B, K) bool: the mean length of its flow, rather than its pose (`geometry.moved`), exceeds
+            `STATIC_DISPLACEMENT`.
     """
 
     coarse: Cells

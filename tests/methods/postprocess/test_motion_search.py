@@ -167,7 +167,7 @@ def test_the_settings_can_forbid_every_replacement(settings: MotionSearchSetting
 
 def test_search_levels_need_equally_many_values() -> None:
     fewer = {"motion_search.levels.kept": "16,12"}
-    with pytest.raises(SettingsError, match="search levels need equally many values each, not angles_deg 4.*kept 2"):
+    with pytest.raises(SettingsError, match=r"search levels need equally many values each, not angles_deg 4.*kept 2"):
         build(PostprocessSettings, fewer)
     names = ("angles_deg", "shifts", "perturbed", "kept", "depth_scales", "color_scales")
     levels = vars(SearchLevelSettings())

@@ -1,4 +1,8 @@
-"""Selection of two frames of a recording between which every object either clearly moves or stands still."""
+"""Selection of two frames of a recording between which every object either clearly moves or stands still.
+
+`geometry.moved.is_moving` compares a motion with one tolerance. Selection leaves a gap between static and moving
+objects instead: the mean displacement of an object's surface is compared with two limits.
+"""
 
 from __future__ import annotations
 

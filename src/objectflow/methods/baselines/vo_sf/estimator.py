@@ -11,14 +11,14 @@ from scipy.sparse.csgraph import connected_components
 
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
+from objectflow.geometry.moved import STATIC_SHIFT_PX, STATIC_SIGMAS, exceeds_noise
 from objectflow.methods.base import PairEstimator
 from objectflow.methods.baselines.vo_sf.clusters import COUNT, Clusters, cluster
 from objectflow.methods.baselines.vo_sf.motions import cluster_motions, robust_odometry
 from objectflow.methods.baselines.vo_sf.pyramid import Level, build_pyramid
 from objectflow.methods.baselines.vo_sf.segment import MOVING, STATIC, segment
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.settings import Settings
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 _ROWS = 128
@@ -32,7 +32,11 @@ class VoSf(Settings, PairEstimator):
     camera: Literal["auto", "static", "moving"] = "auto"
     """Use of the camera motion, which is always estimated. static: the flow of static clusters is exactly 0, as in the
     authors' program. moving: it follows from the camera motion. auto: moving if that motion shifts the median
-    static pixel by at least 0.7 pixels or 3 sigma of depth."""
+    static pixel by at least `static_shift_px` or `static_sigmas`."""
+    static_shift_px: float = setting(STATIC_SHIFT_PX, minimum=0)
+    """Pixels: see `camera`."""
+    static_sigmas: float = setting(STATIC_SIGMAS, minimum=0)
+    """Standard deviations of depth: see `camera`."""
 
     def estimate(self, pair: FramePair) -> SceneMotion:
         """See `PairEstimator`. Frames of any size are processed at 320x240.
@@ -72,7 +76,11 @@ class VoSf(Settings, PairEstimator):
 
     def _camera_motion(self, curr_T_prev: Float64Array, level: Level, static: BoolMask) -> Float64Array | None:
         prev_T_curr = geometry.inverse(curr_T_prev)
-        if self.camera == "moving" or (self.camera == "auto" and _exceeds_noise(prev_T_curr, level, static)):
+        if self.camera == "static":
+            return None
+        points = level.points[static].astype(np.float64)
+        tolerance = {"shift_px": self.static_shift_px, "sigmas": self.static_sigmas}
+        if self.camera == "moving" or exceeds_noise(prev_T_curr, points, level.camera, **tolerance):
             return prev_T_curr
         return None
 
@@ -121,14 +129,3 @@ def _merge_clusters(
             )
         )
     return labels, tuple(objects)
-
-
-def _exceeds_noise(prev_T_curr: Float64Array, level: Level, static: BoolMask) -> bool:
-    """Whether a camera motion displaces static pixels (H, W) by 0.7 pixels or by 3 sigma of depth in the median."""
-    if not static.any():
-        return False
-    points = level.points[static].astype(np.float64)
-    moved = geometry.transform(prev_T_curr, points)
-    slide = np.linalg.norm(geometry.project(moved, level.camera) - geometry.project(points, level.camera), axis=1)
-    shift = np.linalg.norm(moved - points, axis=1) / STRUCTURED_LIGHT.sigma(points[:, 2])
-    return bool(np.nanmedian(slide) >= 0.7 or np.median(shift) >= 3)
