@@ -16,6 +16,7 @@ from objectflow.errors import DatasetError
 
 EXAMPLES = """\
   objectflow generate --out data --split train --pairs 2000
+  objectflow generate --out data --split train --pairs 4000    # 2000 more
   objectflow generate --out data --split val --pairs 200 --workers 2
   objectflow generate --out data --split test --sequences 30
   objectflow generate --out data --split train --pairs 25000 --shard 3/16
@@ -33,8 +34,9 @@ _RENAMED_PRESETS = {"wild": CLUTTER}
 class Generate:
     """Simulate scenes of moving objects and store pairs of frames with exact masks and motions.
 
-    The same seed gives the same bytes for any number of workers. The same command continues an interrupted run; a
-    folder with shards of another seed or of other settings is refused.
+    The same seed gives the same bytes for any number of workers. The same command continues an interrupted run, and
+    the same command with a larger --pairs or --sequences lets a finished set grow; a folder with shards of another
+    seed or of other settings is refused.
     """
 
     out: Annotated[Path, option("DIR")]
@@ -44,7 +46,7 @@ class Generate:
     """train, val or test; their object models are disjoint."""
 
     pairs: int = 0
-    """Number of pairs of frames."""
+    """Number of pairs of frames. If the folder has fewer, only the missing ones are made."""
 
     sequences: int = 0
     """Number of sequences of eight frames."""

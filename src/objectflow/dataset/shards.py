@@ -71,6 +71,19 @@ def read_metadata(path: Path) -> tuple[dict[str, Any], int]:
         raise DatasetError(f"{path}: a Parquet file that objectflow did not write: move it away") from error
 
 
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """All rows of a shard in the form that `write_shard` takes: written again, they give the same bytes.
+
+    Raises:
+        DatasetError: not a Parquet file, or a broken one.
+    """
+    try:
+        rows: list[dict[str, Any]] = _open(path).read().to_pylist()
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(f"{path}: broken: {error}: remove it and generate it again") from error
+    return rows
+
+
 class Shards(Sequence[Row], Generic[Row]):
     """The rows of one part of a data set, by number; files are opened when they are first needed.
 

@@ -14,6 +14,7 @@ from objectflow.dataset.manifest import Manifest, Part, Shard, current_settings,
 from objectflow.dataset.shards import read_metadata
 from objectflow.errors import DatasetError
 from objectflow.storage import files
+from objectflow.synth.generation.growth import is_finished, parse_shard_name, stored_shards
 from objectflow.synth.generation.jobs import GenerationJob
 
 
@@ -37,13 +38,18 @@ def check_folder(out: Path, origin: Mapping[str, Any], job: GenerationJob) -> No
                     f"{out} holds shards of {_difference(name, found.get(name), origin[name])}: "
                     "name another output folder"
                 )
-        if part_name(found["split"], found["kind"]) == job.part and job.metadata != {
-            name: found[name] for name in job.metadata
-        }:
-            raise DatasetError(
-                f"{out} holds {found['kind']} of split {found['split']} made as {found['count']} of "
-                f"{found['rows_a_scene']} a scene, not {job.count} of {job.rows_a_scene}: name another output folder"
-            )
+        if part_name(found["split"], found["kind"]) == job.part:
+            _check_count(out, found, job)
+
+
+def _check_count(out: Path, found: Mapping[str, Any], job: GenerationJob) -> None:
+    """Refuse shards of another number of rows per scene, or of a larger count: a part grows, but does not shrink."""
+    made = f"{out} holds {job.kind} of split {job.split} made as {found['count']} of {found['rows_a_scene']} a scene"
+    wanted = f"not {job.count} of {job.rows_a_scene}"
+    if found["rows_a_scene"] != job.rows_a_scene:
+        raise DatasetError(f"{made}, {wanted}: name another output folder")
+    if found["count"] > job.count:
+        raise DatasetError(f"{made}, {wanted}: ask for {found['count']} or more, or name another output folder")
 
 
 def _difference(name: str, found: Any, ours: Any) -> str:
@@ -54,11 +60,21 @@ def _difference(name: str, found: Any, ours: Any) -> str:
     return f"{name} {found!r}, not {ours!r}"
 
 
-def remove_stale_temporaries(out: Path, names: Iterable[str]) -> None:
-    """Remove the temporary files that killed runs left for the given names; those of running processes stay."""
+def remove_stale_temporaries(out: Path, mine: Sequence[tuple[GenerationJob, int]]) -> None:
+    """Remove temporary files that killed runs left; those of running processes stay.
+
+    Args:
+        out: the folder.
+        mine: jobs and numbers of the shards whose temporary files are removed, of any count; those of the manifest are
+            removed too.
+    """
+    numbers = {(job.part, number) for job, number in mine}
     for path in out.glob(".*.tmp"):
         match = re.fullmatch(r"\.(.+)\.(\d+)\.tmp", path.name)
-        if match and match[1] in {*names, manifests.FILE} and not _is_other_process(int(match[2])):
+        if match is None or _is_other_process(int(match[2])):
+            continue
+        shard = parse_shard_name(match[1])
+        if match[1] == manifests.FILE or (shard is not None and shard[:2] in numbers):
             path.unlink(missing_ok=True)
 
 
@@ -82,7 +98,7 @@ def write_manifest(out: Path, origin: Mapping[str, Any], jobs: Sequence[Generati
         The manifest, or None if shards of the jobs are still missing.
     """
     while True:
-        if any(not (out / job.shard_name(number)).exists() for job in jobs for number in range(len(job.shards))):
+        if not all(_is_complete(out, job) for job in jobs):
             return None
         names = _shard_files(out)
         parts = {part: _read_part(out, shards) for part, shards in _complete_parts(names).items()}
@@ -93,20 +109,24 @@ def write_manifest(out: Path, origin: Mapping[str, Any], jobs: Sequence[Generati
             return made
 
 
+def _is_complete(out: Path, job: GenerationJob) -> bool:
+    stored = stored_shards(out, job)
+    return all(number in stored and is_finished(stored[number], job) for number in range(len(job.shards)))
+
+
 def _shard_files(out: Path) -> list[str]:
     return sorted(path.name for path in out.glob("*-of-*.parquet"))
 
 
 def _complete_parts(names: Iterable[str]) -> dict[str, list[str]]:
-    """The shards of each part of which none is missing."""
-    parts: dict[str, list[str]] = {}
-    totals: dict[str, int] = {}
-    for name in names:
-        match = re.fullmatch(r"(.+)-(\d{5})-of-(\d{5})\.parquet", name)
-        if match:
-            parts.setdefault(match[1], []).append(name)
-            totals[match[1]] = int(match[3])
-    return {part: shards for part, shards in parts.items() if len(shards) == totals[part]}
+    """The shards of each part of which none is missing; of a part that has just grown, the larger set."""
+    groups: dict[tuple[str, int], list[str]] = {}
+    for name in sorted(names):
+        shard = parse_shard_name(name)
+        if shard is not None:
+            groups.setdefault((shard[0], shard[2]), []).append(name)
+    # The larger totals of a part come last and replace the smaller ones.
+    return {part: shards for (part, total), shards in sorted(groups.items()) if len(shards) == total}
 
 
 def _read_part(out: Path, names: Iterable[str]) -> Part:
