@@ -68,7 +68,7 @@ def measure(
     with torch.set_grad_enabled(backward):
         warm = run(form, [x[..., :4, :4].clone().requires_grad_(backward) for x in features], 1)
         if backward:
-            warm.sum().backward()
+            torch.autograd.backward(warm.sum())
     if device == "cuda":
         torch.cuda.reset_peak_memory_stats()
         before = torch.cuda.memory_allocated() / 2**20
@@ -81,7 +81,7 @@ def measure(
         with torch.set_grad_enabled(backward):
             out = run(form, inputs, settings.reach)
             if backward:
-                out.backward(upstream)
+                torch.autograd.backward(out, upstream)
         if device == "cuda":
             torch.cuda.synchronize()
         seconds.append(time.perf_counter() - start)

@@ -9,6 +9,7 @@ import dataclasses
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -78,12 +79,12 @@ def measure(size: tuple[int, int], settings: Settings) -> dict[str, float]:
     for step in range(settings.steps + 1):
         clock("read and decode, first time", lambda: next(fresh))
         batch = clock("read, cached", lambda: next(kept))
-        batch = clock("augment", lambda batch=batch: augment(batch, options, generator))
-        inputs = clock("sensor noise, points", lambda batch=batch: network_inputs(batch, options, generator))
+        batch = clock("augment", partial(augment, batch, options, generator))
+        inputs = clock("sensor noise, points", partial(network_inputs, batch, options, generator))
         points = inputs.exact_points
-        targets = clock("targets", lambda batch=batch, p=points: make_targets(batch.table, batch.curr_labels, p))
-        output = clock(f"network x {settings.width:g}, forward", lambda inputs=inputs: network(*inputs[:4]))
-        loss = clock("losses", lambda o=output, t=targets, p=points: sceneflownet_losses(o, t, p)["total"])
+        targets = clock("targets", partial(make_targets, batch.table, batch.curr_labels, points))
+        output = clock(f"network x {settings.width:g}, forward", partial(network, *inputs[:4]))
+        loss = clock("losses", partial(sceneflownet_losses, output, targets, points))["total"]
         clock("backward", loss.backward)
         if step == 0:
             spent.clear()

@@ -128,7 +128,7 @@ class Recording:
 def texture(rng: np.random.Generator, height: int, width: int) -> UInt8Array:
     """Smooth colour noise, which optical flow can match."""
     noise = cv2.GaussianBlur(rng.normal(size=(height, width, 3)), (0, 0), 1.5)
-    return np.clip(128 + 60 * noise / noise.std(), 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(128 + 60 * noise / noise.std(), 0, 255), dtype=np.uint8)
 
 
 def make(method: str, recording: Recording) -> Estimator:
@@ -186,7 +186,13 @@ def in_process(function: Callable[..., T], *arguments: object) -> T:
 def main(settings: Settings) -> None:
     """Measure, print."""
     table = Table(title="memory" if settings.memory else f"{settings.seconds:g} s at {RATE:g} frames per second")
-    heads = ("estimates", "tracks", "first MiB", "MiB at equal shares of the run", "CPU s per estimate")
+    heads: tuple[str, ...] = (
+        "estimates",
+        "tracks",
+        "first MiB",
+        "MiB at equal shares of the run",
+        "CPU s per estimate",
+    )
     if not settings.memory:
         heads = (
             "estimates",

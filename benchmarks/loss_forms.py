@@ -24,6 +24,7 @@ from objectflow.dataset.batches import Batch, Batches
 from objectflow.dataset.shards import open_pairs
 from objectflow.dataset.targets import Targets, make_targets
 from objectflow.networks import SceneFlowNetOutput, scene_flow
+from objectflow.training.model_config import SceneFlowNetModel
 from objectflow.training.parallel import Process
 from objectflow.training.recipes import RECIPES
 from objectflow.training.setup import build_adapter, build_optimizer
@@ -100,6 +101,7 @@ def main(settings: Settings) -> None:
 
 def learn(batches: Batches, squared: bool, seed: int, settings: Settings) -> nn.Module:
     cpu = RECIPES["cpu"]
+    assert isinstance(cpu.model, SceneFlowNetModel)
     recipe = dataclasses.replace(
         cpu,
         seed=seed,

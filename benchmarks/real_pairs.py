@@ -111,12 +111,12 @@ def center_of(points: np.ndarray) -> np.ndarray:
 
     The rolling of a ball is unknown; it affects the motion of surface points but not of the centre.
     """
-    median = np.median(points, axis=0).astype(np.float64)
+    median = np.asarray(np.median(points, axis=0), dtype=np.float64)
     near = points[np.linalg.norm(points - median, axis=1) < 0.05].astype(np.float64)
     if len(near) < 0.8 * len(points):
         return median
     solution, *_ = np.linalg.lstsq(np.c_[2 * near, np.ones(len(near))], (near**2).sum(axis=1), rcond=None)
-    center = solution[:3]
+    center = np.asarray(solution[:3], dtype=np.float64)
     radius = float(np.sqrt(max(0.0, solution[3] + center @ center)))
     rmse = np.sqrt(np.mean((np.linalg.norm(near - center, axis=1) - radius) ** 2))
     return center if radius < 0.06 and rmse < 0.004 else median

@@ -96,7 +96,7 @@ def packaged_pairs() -> list[Pair]:
                 )
                 for end in ("prev", "curr")
             )
-            pairs.append((row["key"], *frames))  # type: ignore[arg-type]
+            pairs.append((row["key"], *frames))
     return pairs
 
 

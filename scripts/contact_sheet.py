@@ -58,7 +58,10 @@ def main(settings: Settings) -> None:
     for index in range(min(settings.pairs, len(rows))):
         row = rows[index]
         size = (settings.width, settings.width * row.curr.camera.height // row.curr.camera.width)
-        frames = [cv2.resize(f.color, size, interpolation=cv2.INTER_AREA) for f in (row.prev, row.curr)]
+        frames = [
+            np.asarray(cv2.resize(f.color, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            for f in (row.prev, row.curr)
+        ]
         if settings.movers:
             frames = [
                 outline(f, labels, row) for f, labels in zip(frames, (row.prev_labels, row.curr_labels), strict=True)

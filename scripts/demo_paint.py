@@ -28,12 +28,12 @@ def noise(x: Array, y: Array, octaves: int = 4) -> Array:
 
 def rgb(code: str) -> Array:
     """Convert a hex colour to linear RGB."""
-    return (np.array([int(code[i : i + 2], 16) for i in (0, 2, 4)]) / 255) ** 2.2
+    return np.asarray((np.array([int(code[i : i + 2], 16) for i in (0, 2, 4)]) / 255) ** 2.2)
 
 
 def mix(base: Array, color: Array, share: Array) -> Array:
     """Blend colours (N, 3) with another by a share (N,)."""
-    return base + (color - base) * np.asarray(share, dtype=float)[:, None]
+    return np.asarray(base + (color - base) * np.asarray(share, dtype=float)[:, None])
 
 
 def wood(xy: Array) -> Array:

@@ -48,8 +48,8 @@ class Pair:
     @classmethod
     def read(cls) -> Pair:
         """Read the demo pair."""
-        color = [cv2.imread(str(DEMO / f"color{i}.jpg")) for i in (0, 1)]
-        depth = [cv2.imread(str(DEMO / f"depth{i}.png"), cv2.IMREAD_UNCHANGED) for i in (0, 1)]
+        color = [np.asarray(cv2.imread(str(DEMO / f"color{i}.jpg"))) for i in (0, 1)]
+        depth = [np.asarray(cv2.imread(str(DEMO / f"depth{i}.png"), cv2.IMREAD_UNCHANGED)) for i in (0, 1)]
         return cls(color, depth, json.loads((DEMO / "camera.json").read_text()))
 
     def write(self, folder: Path) -> None:

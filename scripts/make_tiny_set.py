@@ -15,6 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from objectflow.dataset.manifest import Manifest, Part, Shard, shard_name
 from objectflow.dataset.shards import open_pairs, write_shard
@@ -77,13 +78,18 @@ def pack(row: dict[str, Any]) -> dict[str, Any]:
 
 def pack_png(data: bytes) -> bytes:
     """The smallest PNG of an image over all strategies of the encoder."""
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    image = decode(data)
     strategies = range(cv2.IMWRITE_PNG_STRATEGY_DEFAULT, cv2.IMWRITE_PNG_STRATEGY_FIXED + 1)
     options = [[cv2.IMWRITE_PNG_COMPRESSION, 9, cv2.IMWRITE_PNG_STRATEGY, strategy] for strategy in strategies]
     packed = min((cv2.imencode(".png", image, option)[1].tobytes() for option in options), key=len)
-    if not np.array_equal(cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED), image):
+    if not np.array_equal(decode(packed), image):
         raise SystemExit("the PNG encoder changed a pixel")
     return packed
+
+
+def decode(data: bytes) -> NDArray[Any]:
+    """The image of a PNG file, with its channels in the file's order."""
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED))
 
 
 if __name__ == "__main__":

@@ -28,6 +28,7 @@ from objectflow.storage import files
 from objectflow.training.callbacks import Terminal
 from objectflow.training.job import TrainJob
 from objectflow.training.loop import train
+from objectflow.training.model_config import SceneFlowNetModel
 from objectflow.training.recipes import find_recipe
 from objectflow.training.validation import Validation
 
@@ -97,10 +98,11 @@ def run() -> int:
     recipe = find_recipe("cpu", arguments.variant)
     # The recipe gives a radian the weight of a centimetre, so that noisy rotations do not dominate. Here every motion
     # can be learnt exactly, and an error of half a radian is two centimetres of flow.
-    loss = dataclasses.replace(recipe.model.loss, rotation=5.0, radius=50.0)
+    model = recipe.model
+    assert isinstance(model, SceneFlowNetModel)
     recipe = dataclasses.replace(
         recipe,
-        model=dataclasses.replace(recipe.model, loss=loss),
+        model=dataclasses.replace(model, loss=dataclasses.replace(model.loss, rotation=5.0, radius=50.0)),
         size=SIZE,
         batch_size=PAIRS,
         steps=arguments.steps,

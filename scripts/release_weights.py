@@ -25,6 +25,7 @@ from typing import Any, Literal
 import tyro
 
 from objectflow.methods.find_weights import packaged_folder
+from objectflow.networks.rigidmatch import RigidMatchSettings
 from objectflow.networks.weights import load_network, read_header, save_weights
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
@@ -164,6 +165,8 @@ def pack(
     """Write weights in half precision to their folder of released weights, with their card and their hash."""
     network, metadata = load_network(weights)
     if queries is not None:
+        if not isinstance(network.settings, RigidMatchSettings):
+            raise SystemExit(f"{weights}: this network has no object queries")
         network, metadata = load_network(weights, settings=dataclasses.replace(network.settings, queries=queries))
     if size is not None:
         metadata["size"] = list(size)

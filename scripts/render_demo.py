@@ -212,7 +212,7 @@ def shade(rays: Array, poses: list[Array], rng: np.random.Generator) -> Array:
     shine = gloss * lit * np.clip((normal * half).sum(-1), 0, 1) ** 60
     sky = (0.26 + 0.16 * normal[:, 2] + 0.10 * np.clip(-normal[:, 1], 0, 1)) * contact
     warm, cool = np.array([1.0, 0.95, 0.87]), np.array([0.93, 0.97, 1.05])
-    return base * (0.86 * facing[:, None] * warm + sky[:, None] * cool) + shine[:, None] * warm
+    return np.asarray(base * (0.86 * facing[:, None] * warm + sky[:, None] * cool) + shine[:, None] * warm)
 
 
 def _on_disk(rng: np.random.Generator, count: int) -> Array:

@@ -123,7 +123,7 @@ def test_wrong_paths_are_named_with_the_choices(values: dict[str, Any], message:
 
 def test_a_class_without_settings_says_so() -> None:
     assert build(Settings, {}) == Settings()
-    with pytest.raises(SettingsError, match=r"^unknown setting camera: there are no settings here$"):
+    with pytest.raises(SettingsError, match=r"^unknown setting camera: Settings has no settings$"):
         build(Settings, {"camera": "static"})
 
 

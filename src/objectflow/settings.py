@@ -160,7 +160,7 @@ def _build(cls: type[Any], values: Mapping[str, Any], prefix: str, base: Any = N
     for path, value in values.items():
         name, _, rest = path.partition(".")
         if name not in fields:
-            raise _unknown(prefix + name, list(fields), prefix)
+            raise _unknown(prefix + name, list(fields), prefix, cls)
         inner = dataclasses.is_dataclass(hints[name])
         if inner and isinstance(value, Mapping):
             nested.setdefault(name, {}).update({f"{rest}.{key}" if rest else key: item for key, item in value.items()})
@@ -329,9 +329,9 @@ def _wrong(path: str, wanted: str, value: Any) -> SettingsError:
     return SettingsError(f"setting {path} must be {wanted}, not {value!r}")
 
 
-def _unknown(path: str, choices: list[str], prefix: str) -> SettingsError:
+def _unknown(path: str, choices: list[str], prefix: str, cls: type[Any]) -> SettingsError:
     if not choices:
-        return SettingsError(f"unknown setting {path}: there are no settings here")
+        return SettingsError(f"unknown setting {path}: {cls.__name__} has no settings")
     near = difflib.get_close_matches(path.rsplit(".", 1)[-1], choices, n=1)
     hint = f"did you mean {prefix}{near[0]}? " if near else ""
     return SettingsError(f"unknown setting {path}: {hint}choose one of {', '.join(prefix + name for name in choices)}")

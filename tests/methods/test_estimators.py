@@ -101,8 +101,10 @@ def test_unknown_methods_and_settings_list_the_choices() -> None:
     assert all(name in str(caught.value) for name in objectflow.METHODS)
     with pytest.raises(MethodError, match="unknown method 'xyz': choose one of"):
         objectflow.load("xyz")
-    with pytest.raises(SettingsError, match="unknown setting speed: there are no settings here"):
+    with pytest.raises(SettingsError, match="unknown setting speed: the method zero has no settings; ") as caught:
         objectflow.load("zero", speed=3)
+    having = str(caught.value).split("methods with settings: ")[1].split(", ")
+    assert sorted(having) == sorted(set(objectflow.METHODS) - {"zero", "dense-flow"})
     with pytest.raises(SettingsError, match=r"unknown setting tresh: did you mean threshold\? choose one of camera, "):
         objectflow.load("rigidmatch", tresh=3)
 

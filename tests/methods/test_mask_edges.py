@@ -13,6 +13,8 @@ from objectflow.methods.mask_edges import snap_to_edges, upsample_labels
 from objectflow.typing import LabelImage
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+SMALL = (30, 40)
+"""Height and width at which labels are found."""
 
 
 def disc(step: float, shade: int) -> tuple[RgbdFrame, LabelImage]:
@@ -24,12 +26,11 @@ def disc(step: float, shade: int) -> tuple[RgbdFrame, LabelImage]:
     return RgbdFrame(color, depth, CAMERA), labels
 
 
-def on_fewer_pixels(frame: RgbdFrame, labels: LabelImage) -> tuple[RgbdFrame, LabelImage]:
-    """The frame at 40x30, and labels found there, upsampled to the full image."""
-    small = frame.resized(40, 30)
-    down, back = nearest_indices((120, 160), (30, 40)), nearest_indices((30, 40), (120, 160))
+def on_fewer_pixels(labels: LabelImage) -> LabelImage:
+    """Labels found at 40x30, upsampled to the full image."""
+    down, back = nearest_indices((120, 160), SMALL), nearest_indices(SMALL, (120, 160))
     found = labels[down[0][:, None], down[1]]
-    return small, found[back[0][:, None], back[1]]
+    return found[back[0][:, None], back[1]]
 
 
 def iou(a: LabelImage, b: LabelImage) -> float:
@@ -39,15 +40,15 @@ def iou(a: LabelImage, b: LabelImage) -> float:
 @pytest.mark.parametrize(("step", "shade"), [(0.1, 0), (0.0, 60), (0.1, 60)])
 def test_borders_follow_depth_or_colour(step: float, shade: int) -> None:
     frame, true = disc(step, shade)
-    small, blocky = on_fewer_pixels(frame, true)
+    blocky = on_fewer_pixels(true)
     assert iou(blocky, true) < 0.97
-    assert iou(snap_to_edges(blocky, small, frame), true) > 0.99
+    assert iou(snap_to_edges(blocky, frame, SMALL), true) > 0.99
 
 
 def test_an_invisible_border_stays_within_a_pixel_of_the_smaller_image() -> None:
     frame, true = disc(0.0, 0)
-    small, blocky = on_fewer_pixels(frame, true)
-    changed = snap_to_edges(blocky, small, frame) != true
+    blocky = on_fewer_pixels(true)
+    changed = snap_to_edges(blocky, frame, SMALL) != true
     v, u = np.nonzero(changed)
     assert (np.abs(np.hypot(u - 71.3, v - 58.8) - 33.4) < 8).all()
 
@@ -58,23 +59,23 @@ def test_pixels_without_depth_keep_their_label() -> None:
     depth[20:30, 60:80] = 0
     depth[50:60, :10] = 0
     holed = RgbdFrame(frame.color, depth, CAMERA)
-    small, blocky = on_fewer_pixels(holed, true)
-    np.testing.assert_array_equal(snap_to_edges(blocky, small, holed)[depth == 0], blocky[depth == 0])
+    blocky = on_fewer_pixels(true)
+    np.testing.assert_array_equal(snap_to_edges(blocky, holed, SMALL)[depth == 0], blocky[depth == 0])
 
 
-@pytest.mark.parametrize("size", [(160, 120), (320, 240), (160, 60)])
+@pytest.mark.parametrize("size", [(120, 160), (240, 320), (60, 160)])
 def test_labels_found_on_an_image_that_is_no_smaller_stay(size: tuple[int, int]) -> None:
     frame, true = disc(0.1, 60)
-    assert snap_to_edges(true, frame.resized(*size), frame) is true
+    assert snap_to_edges(true, frame, size) is true
 
 
 def test_the_noise_decides_which_depth_step_is_a_border() -> None:
     """A step of 1 cm is a border for a camera with 1 mm of noise, and none for one with 2 cm."""
     frame, true = disc(0.01, 0)
-    small, blocky = on_fewer_pixels(frame, true)
+    blocky = on_fewer_pixels(true)
     precise, noisy = DepthNoise(base=0.001, growth=0.0), DepthNoise(base=0.02, growth=0.0)
-    assert iou(snap_to_edges(blocky, small, frame, precise), true) > 0.99
-    assert iou(snap_to_edges(blocky, small, frame, noisy), true) < 0.98
+    assert iou(snap_to_edges(blocky, frame, SMALL, precise), true) > 0.99
+    assert iou(snap_to_edges(blocky, frame, SMALL, noisy), true) < 0.98
 
 
 def test_holes_that_one_object_encloses_are_labelled() -> None:
@@ -84,9 +85,8 @@ def test_holes_that_one_object_encloses_are_labelled() -> None:
     depth[57:60, 103:107] = 0  # across its border
     depth[5:8, 5:8] = 0  # in the wall
     holed = RgbdFrame(frame.color, depth, CAMERA)
-    small, _ = on_fewer_pixels(holed, true)
-    down = nearest_indices((120, 160), (30, 40))
-    labels = upsample_labels(true[down[0][:, None], down[1]], small, holed)
+    down = nearest_indices((120, 160), SMALL)
+    labels = upsample_labels(true[down[0][:, None], down[1]], holed)
     assert labels.dtype == np.int32
     assert (labels[57:60, 70:73] == 1).all()
     assert not labels[57:60, 103:107].any()

@@ -133,8 +133,8 @@ def _is_significant(
     settings: CameraMotionSettings,
 ) -> bool:
     """Whether a background motion exceeds noise and explains more matches than it leaves unexplained."""
-    tolerance = {"shift_px": settings.static_shift_px, "sigmas": settings.static_sigmas}
-    if not exceeds_noise(moved, source.points, camera, noise=noise, **tolerance):
+    shift_px, sigmas = settings.static_shift_px, settings.static_sigmas
+    if not exceeds_noise(moved, source.points, camera, noise=noise, shift_px=shift_px, sigmas=sigmas):
         return False
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     with_motion = np.linalg.norm(geometry.transform(moved, matches.curr) - matches.prev, axis=1) / sigma

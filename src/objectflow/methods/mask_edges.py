@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import nearest_indices
@@ -35,25 +36,24 @@ DEFAULTS = MaskEdgeSettings()
 
 def upsample_labels(
     labels: LabelImage,
-    small: RgbdFrame,
-    full: RgbdFrame,
+    frame: RgbdFrame | PreparedFrame,
     noise: DepthNoise = STRUCTURED_LIGHT,
     settings: MaskEdgeSettings = DEFAULTS,
 ) -> LabelImage:
     """Upsample labels; near borders, each pixel takes the label of nearby small pixels with similar depth and colour.
 
     Args:
-        labels: (h, w) on `small`.
-        small: the downscaled frame.
-        full: the frame itself.
+        labels: (h, w) on the frame downscaled to that size.
+        frame: at its full size (H, W).
         noise: of its depth.
         settings: see there.
 
     Returns:
-        (H, W) int32 on `full`; 0 where depth is missing, except for holes inside an object.
+        (H, W) int32; 0 where depth is missing, except for holes inside an object.
     """
+    prepared, (h, w) = PreparedFrame.of(frame), labels.shape
+    full, small = prepared.frame, prepared.resized(w, h).frame
     height, width = full.depth.shape
-    h, w = labels.shape
     rows, columns = nearest_indices((h, w), (height, width))
     out = labels[rows[:, None], columns[None, :]]
     if (h, w) != (height, width):
@@ -79,28 +79,29 @@ def upsample_labels(
 
 def snap_to_edges(
     labels: LabelImage,
-    small: RgbdFrame,
-    full: RgbdFrame,
+    frame: RgbdFrame | PreparedFrame,
+    size: tuple[int, int],
     noise: DepthNoise = STRUCTURED_LIGHT,
     settings: MaskEdgeSettings = DEFAULTS,
 ) -> LabelImage:
     """Align the borders of labels that were found on a smaller image with the depth and colour of the full one.
 
     Args:
-        labels: (H, W) int32 on `full`, upsampled by nearest pixels.
-        small: the frame on which they were found.
-        full: the frame itself.
+        labels: (H, W) int32 on the frame, upsampled by nearest pixels.
+        frame: at its full size.
+        size: (h, w) at which the labels were found.
         noise: of its depth.
         settings: see there.
 
     Returns:
-        (H, W) int32. Pixels without depth keep their label, as do all pixels where `small` is no smaller.
+        (H, W) int32. Pixels without depth keep their label, as do all pixels where `size` is no smaller.
     """
-    if small.depth.shape[0] >= full.depth.shape[0] or small.depth.shape[1] >= full.depth.shape[1]:
+    if size[0] >= labels.shape[0] or size[1] >= labels.shape[1]:
         return labels
-    rows, columns = nearest_indices(labels.shape, small.depth.shape)
-    sharp = upsample_labels(labels[rows[:, None], columns], small, full, noise, settings)
-    return np.where(full.valid, sharp, labels).astype(np.int32)
+    prepared = PreparedFrame.of(frame)
+    rows, columns = nearest_indices(labels.shape, size)
+    sharp = upsample_labels(labels[rows[:, None], columns], prepared, noise, settings)
+    return np.where(prepared.valid, sharp, labels).astype(np.int32)
 
 
 def _fill_holes(labels: LabelImage, full: RgbdFrame, max_share: float) -> LabelImage:

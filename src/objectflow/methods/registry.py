@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import importlib
 from typing import Any, NamedTuple, cast
 
-from objectflow.errors import MethodError
+from objectflow.errors import MethodError, SettingsError
 from objectflow.methods.base import PairEstimator
-from objectflow.settings import build
+from objectflow.settings import build, flat
 
 DEFAULT_METHOD = "rigidmatch"
 
@@ -91,7 +92,18 @@ def load(name: str = DEFAULT_METHOD, **settings: Any) -> PairEstimator:
         MethodError: an unknown name; the message lists the choices.
         SettingsError: a setting that the method does not have, or a value that it cannot have.
     """
-    return build(find_class(name), settings)
+    cls = find_class(name)
+    if settings and not _has_settings(cls):
+        others = ", ".join(other for other in METHODS if _has_settings(find_class(other)))
+        path = next(iter(flat(settings)))
+        raise SettingsError(
+            f"unknown setting {path}: the method {name} has no settings; methods with settings: {others}"
+        )
+    return build(cls, settings)
+
+
+def _has_settings(cls: type[PairEstimator]) -> bool:
+    return any(field.init for field in dataclasses.fields(cast(Any, cls)))
 
 
 def find_class(name: str) -> type[PairEstimator]:

@@ -5,26 +5,44 @@ from __future__ import annotations
 import json
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from torch import Tensor, nn
 
 from objectflow.errors import MethodError, MissingExtraError
-from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
-from objectflow.networks.rigidmatch import RigidMatch
+from objectflow.networks import SceneFlowNetOutput
+from objectflow.networks.kinds import Network, kind_of
 from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
-from objectflow.networks.weights import Network
 from objectflow.storage import files
 
 OPSET = 17
 INPUTS = ("prev_color", "prev_points", "curr_color", "curr_points")
 TOLERANCE = 1e-4
 """Largest allowed difference from torch, relative to a map's largest value; reordered sums differ by less."""
+
+
+class _Form(NamedTuple):
+    """The module that is traced, and the names of its outputs."""
+
+    module: nn.Module
+    outputs: tuple[str, ...]
+
+
+def _until_solve(network: Any) -> _Form:
+    module = ExportableRigidMatch(network)
+    return _Form(module, module.outputs)
+
+
+_FORMS: dict[str, Callable[[Any], _Form]] = {
+    "sceneflownet": lambda network: _Form(network, SceneFlowNetOutput._fields),
+    "rigidmatch": _until_solve,
+}
+"""How a network of each kind is exported."""
 
 
 def export_onnx(
@@ -78,18 +96,18 @@ def export_onnx(
 def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str, Tensor]]:
     """The graph, and torch's results for the same frames."""
     training, device = network.training, next(network.parameters()).device
-    form, names = (network, SceneFlowNetOutput._fields) if isinstance(network, SceneFlowNet) else _exportable(network)
+    form = _FORMS[kind_of(network.settings)](network)
     try:
         network.eval().cpu()
         with torch.no_grad(), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
             warnings.simplefilter("ignore")  # tracing warns about fixed sizes, which are intended
-            expected = dict(zip(names, form(*frames.values()), strict=True))
+            expected = dict(zip(form.outputs, form.module(*frames.values()), strict=True))
             torch.onnx.export(
-                form,
+                form.module,
                 tuple(frames.values()),
                 Path(folder) / "network.onnx",
                 input_names=list(INPUTS),
-                output_names=list(names),
+                output_names=list(form.outputs),
                 opset_version=OPSET,
                 # The dynamo exporter needs another library, and minutes for the 441 displacements.
                 dynamo=False,
@@ -98,11 +116,6 @@ def _trace(network: Network, frames: dict[str, Tensor]) -> tuple[bytes, dict[str
     finally:
         network.train(training).to(device)
     return data, expected
-
-
-def _exportable(network: RigidMatch) -> tuple[ExportableRigidMatch, tuple[str, ...]]:
-    form = ExportableRigidMatch(network)
-    return form, form.outputs
 
 
 def _frames(size: tuple[int, int]) -> dict[str, Tensor]:

@@ -14,23 +14,18 @@ import torch
 from torch import Tensor
 
 from objectflow.errors import MethodError
+from objectflow.networks.kinds import KINDS, Network, Settings, kind_of, make_network
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.sceneflownet.network import SceneFlowNet
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.storage import files
 
-Network = SceneFlowNet | RigidMatch
-Settings = NetworkSettings | RigidMatchSettings
-
 _KEY = "objectflow"
 """The only entry of the header, as JSON: safetensors stores several entries in no fixed order, and equal weights must
 give equal bytes."""
 _VERSION = 1
-_KINDS: dict[str, type[NetworkSettings] | type[RigidMatchSettings]] = {
-    "sceneflownet": NetworkSettings,
-    "rigidmatch": RigidMatchSettings,
-}
-"""Values of "kind" in a header; a header without it is of the first kind."""
+_FIRST_KIND = "sceneflownet"
+"""The kind of weights whose header has no "kind"."""
 
 
 def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any], *, half: bool = False) -> None:
@@ -59,8 +54,9 @@ def save_weights(path: str | Path, network: Network, metadata: Mapping[str, Any]
         tensors[name] = tensor
     try:
         values = {"version": _VERSION, "network": network.settings.to_dict(), "metadata": dict(metadata)}
-        if isinstance(network, RigidMatch):
-            values["kind"] = "rigidmatch"
+        kind = kind_of(network.settings)
+        if kind != _FIRST_KIND:
+            values["kind"] = kind
         header = json.dumps(values, sort_keys=True)
     except (TypeError, ValueError) as error:
         raise MethodError(f"{path}: metadata of weights must be plain JSON: {error}") from error
@@ -77,7 +73,8 @@ def load_weights(
     """
     network, metadata = load_network(path, device, settings=settings)
     if not isinstance(network, SceneFlowNet):
-        raise MethodError(f"{path}: weights of rigidmatch, not of a scene flow network: load them by their own name")
+        kind = kind_of(network.settings)
+        raise MethodError(f"{path}: weights of {kind}, not of a scene flow network: load them by their own name")
     return network, metadata
 
 
@@ -126,7 +123,7 @@ def load_network(
     except (OSError, ValueError, safetensors.SafetensorError) as error:
         raise _unreadable(path, error) from error
     with torch.random.fork_rng(devices=[]):  # initial weights are random: keep the caller's generator state
-        network = SceneFlowNet(found) if isinstance(found, NetworkSettings) else RigidMatch(found)
+        network = make_network(found)
     wanted = network.state_dict()
     for name in sorted({*wanted, *tensors}):
         if name not in tensors:
@@ -161,15 +158,15 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
         if header["version"] != _VERSION:
             raise MethodError(f"{path}: weights of format {header['version']}, this objectflow reads {_VERSION}")
         network, metadata = header["network"], header["metadata"]
-        kind = header.get("kind", "sceneflownet")
+        kind = header.get("kind", _FIRST_KIND)
         if not isinstance(network, dict) or not isinstance(metadata, dict):
             raise ValueError("not an object")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MethodError(f"{path}: damaged: its header cannot be read") from error
-    if kind not in _KINDS:
+    if kind not in KINDS:
         raise MethodError(f"{path}: weights of a network {kind!r}, which this version of objectflow does not have")
     try:
-        return _KINDS[kind].from_dict(network), metadata
+        return KINDS[kind].settings.from_dict(network), metadata
     except MethodError as error:
         raise MethodError(f"{path}: {error}") from error
 
@@ -186,8 +183,7 @@ def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> 
         MethodError: a field that tensors depend on differs; the message names the first one and both values.
     """
     if type(found) is not type(wanted):
-        kinds = {kind: name for name, kind in _KINDS.items()}
-        raise MethodError(f"{where}: weights of a {kinds[type(found)]}, but a {kinds[type(wanted)]} is required")
+        raise MethodError(f"{where}: weights of a {kind_of(found)}, but a {kind_of(wanted)} is required")
     for field in dataclasses.fields(wanted):
         has, needs = getattr(found, field.name), getattr(wanted, field.name)
         if has != needs and field.name not in wanted.FREE:

@@ -11,8 +11,8 @@ from objectflow.methods.rigidmatch.decoding import output_to_motion, select
 from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.motion import SceneMotion
 from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
+from objectflow.networks.kinds import Network
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
-from objectflow.networks.weights import Network
 from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.rigidmatch_losses import rigidmatch_losses
 from objectflow.training.sceneflownet_losses import sceneflownet_losses

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 
 from objectflow.errors import TrainingError
-from objectflow.networks.weights import Network, load_network, save_weights
+from objectflow.networks.kinds import Network
+from objectflow.networks.weights import load_network, save_weights
 from objectflow.storage import files
 from objectflow.training.ema import ExponentialMovingAverage
 

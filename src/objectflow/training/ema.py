@@ -10,7 +10,7 @@ import copy
 
 import torch
 
-from objectflow.networks.weights import Network
+from objectflow.networks.kinds import Network
 from objectflow.training.adapters import NetworkAdapter
 
 

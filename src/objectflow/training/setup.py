@@ -13,8 +13,9 @@ from torch import Tensor, nn
 
 from objectflow.errors import MethodError
 from objectflow.networks import SceneFlowNet
+from objectflow.networks.kinds import Network
 from objectflow.networks.rigidmatch import RigidMatch
-from objectflow.networks.weights import Network, load_network
+from objectflow.networks.weights import load_network
 from objectflow.training.adapters import NetworkAdapter, RigidMatchAdapter, SceneFlowNetAdapter
 from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.parallel import Process, synchronize_batch_norm

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import rerun as rr
-import rerun.blueprint as rrb
+from objectflow.view.rerun_sdk import rr, rrb
 
 CAMERA = "world/camera"
 FRAME = "frame"

@@ -13,19 +13,14 @@ from urllib.parse import quote
 import numpy as np
 
 from objectflow import geometry
-from objectflow.errors import MissingExtraError, StorageError
+from objectflow.errors import StorageError
 from objectflow.view import colors
 from objectflow.view.motion_arrows import place_arrow
 from objectflow.view.point_colors import color_by_flow, color_by_object, pale_gray
+from objectflow.view.rerun_layout import CAMERA, FRAME, make_layout
+from objectflow.view.rerun_sdk import rr
 from objectflow.view.viewer_frames import NO_TRACK, NO_TRACK_NAME, ViewerFrame
 from objectflow.view.viewer_outputs import check_display, free_port, temporary_beside
-
-try:
-    import rerun as rr
-except ImportError as error:
-    raise MissingExtraError("the viewer needs rerun: pip install 'objectflow[view]'") from error
-
-from objectflow.view.rerun_layout import CAMERA, FRAME, make_layout
 
 APPLICATION = "objectflow"
 SECONDS = "seconds"

@@ -104,7 +104,6 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             others: motion and (H, W) mask of each object that is known to move and may have hidden background.
         """
         start = time.perf_counter()
-        curr = pair.curr.frame
         rng = np.random.default_rng(self.seed)
         # 1. Match the frames.
         full = pair.at_width(self.match_width)
@@ -164,7 +163,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             fit=self.fit,
         )
         # 6. Upsample the labels to the full image and compute the flow from the motions.
-        labels = upsample_labels(labels_s, small.curr.frame, curr, pair.noise, self.mask_edges)
+        labels = upsample_labels(labels_s, pair.curr, pair.noise, self.mask_edges)
         if known is not None:
             labels = np.where(known, np.int32(0), labels)
         return self._result(pair, labels, objects, camera_motion, start)

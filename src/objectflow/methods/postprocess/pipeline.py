@@ -35,9 +35,8 @@ def _snap(
 ) -> tuple[LabelImage, Objects]:
     if settings.label_size is None:
         return labels, objects
-    height, width = settings.label_size
-    small = pair.curr.resized(width, height).frame
-    return relabel_present(snap_to_edges(labels, small, pair.curr.frame, pair.noise, settings.snap_to_edges), objects)
+    snapped = snap_to_edges(labels, pair.curr, settings.label_size, pair.noise, settings.snap_to_edges)
+    return relabel_present(snapped, objects)
 
 
 def _drop_uncertain(

@@ -130,8 +130,7 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             settings = dataclasses.replace(self.postprocess, label_size=size)
             labels, objects = postprocess(pair, labels, objects, settings, changes)
         else:
-            small = pair.curr.resized(size[1], size[0]).frame
-            snapped = snap_to_edges(labels, small, curr, pair.noise, self.postprocess.snap_to_edges)
+            snapped = snap_to_edges(labels, pair.curr, size, pair.noise, self.postprocess.snap_to_edges)
             labels, objects = relabel_present(snapped, objects)
         # 4. The flow of their motions.
         if self.rigid == "none":

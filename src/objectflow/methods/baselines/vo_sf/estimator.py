@@ -79,10 +79,10 @@ class VoSf(Settings, PairEstimator):
         if self.camera == "static":
             return None
         points = level.points[static].astype(np.float64)
-        tolerance = {"shift_px": self.static_shift_px, "sigmas": self.static_sigmas}
-        if self.camera == "moving" or exceeds_noise(prev_T_curr, points, level.camera, **tolerance):
-            return prev_T_curr
-        return None
+        moved = exceeds_noise(
+            prev_T_curr, points, level.camera, shift_px=self.static_shift_px, sigmas=self.static_sigmas
+        )
+        return prev_T_curr if moved or self.camera == "moving" else None
 
 
 def _blend_flow(
