@@ -111,8 +111,13 @@ def test_the_files_have_the_documented_content(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out" / "objects.json").read_text())
     assert (summary["width"], summary["height"], summary["method"]) == (8, 6, "made up")
     assert sorted(summary["objects"][1]) == sorted(
-        ["id", "pixels", "score", "moving", "center", "rotation_vector", "translation", "prev_T_curr"]
+        [
+            *("id", "pixels", "score", "moving", "motion_known", "center", "displacement_m", "rotation_deg"),
+            *("own_prev_T_curr", "rotation_vector", "translation", "prev_T_curr"),
+        ]
     )
+    assert summary["format_version"] == 2
+    assert summary["units"]["length"] == "metres"
     np.testing.assert_array_equal(summary["objects"][1]["translation"], motion.objects[1].translation)
 
 

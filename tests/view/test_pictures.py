@@ -15,7 +15,7 @@ from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import BoolMask, UInt8Array
 from objectflow.view import draw_flow, draw_overlay, write_pictures
 from objectflow.view.colors import NO_DEPTH, diverging, object_color, wheel
-from objectflow.view.flow import flow_range
+from objectflow.view.flow import MAX_LENGTH, flow_range
 
 
 def make_frame(width: int, height: int) -> RgbdFrame:
@@ -52,7 +52,7 @@ def test_sizes_are_integer_multiples_and_large_enough(width: int, height: int) -
     assert overlay.shape[1] % width == 0
     assert overlay.shape[:2] == (height * overlay.shape[1] // width, overlay.shape[1])
     flow = draw_flow(frame, make_motion(frame, (0.05, 0, 0)))
-    assert flow.shape[1] >= 2 * max(640, width)
+    assert flow.shape[1] >= 2 * min(max(640, width), MAX_LENGTH)
 
 
 def test_the_outline_follows_the_mask() -> None:

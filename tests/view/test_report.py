@@ -204,7 +204,11 @@ def test_a_pair_block_holds_points_flow_and_masks(small: tuple[Any, MemorySource
         assert obj["color"] == colors[name]
         assert float(f) > 0.99
     first = pair.truth.objects[0]
-    moved = first.prev_T_curr[:3, :3] @ first.center + first.prev_T_curr[:3, 3] - first.center
+    # The displacement is that of the centre of the visible surface.
+    v, u = np.nonzero((pair.truth.labels == first.label) & pair.curr.valid)
+    z, camera = pair.curr.depth[v, u].astype(np.float64), pair.curr.camera
+    surface = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=1).mean(axis=0)
+    moved = first.prev_T_curr[:3, :3] @ surface + first.prev_T_curr[:3, 3] - surface
     np.testing.assert_allclose(truth["objects"][0]["translation"], moved, atol=1e-5)
 
 

@@ -63,8 +63,10 @@ def print_comparison(truth: DemoTruth, curr: RgbdFrame, motion: SceneMotion) -> 
     for name in ("true cm", "true deg", "found as", "IoU", "error mm", "error deg"):
         table.add_column(name, justify="right")
     matched = set()
+    centers = geometry.surface_centers(geometry.back_project(curr.depth, curr.camera), truth.labels)
     for index in np.flatnonzero(truth.moving):
-        prev_T_curr, center = truth.prev_T_curr[index], truth.centers[index]
+        # The centre of the visible surface, as that of an object in a result.
+        prev_T_curr, center = truth.prev_T_curr[index], centers[int(index) + 1]
         match = match_object(truth.labels == index + 1, center, prev_T_curr, motion)
         matched.add(match.id)
         displacement = float(np.linalg.norm(geometry.transform(prev_T_curr, center) - center))

@@ -10,10 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from tyro.conf import Positional
 
-from objectflow import geometry
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import check_not_below_a_file
 from objectflow.errors import ReaderError
@@ -118,11 +116,7 @@ def step_line(step: Step) -> str:
     parts = []
     for obj in step.motion.objects:
         if obj.id in step.tracks:
-            camera = np.eye(4) if step.motion.camera_motion is None else step.motion.camera_motion
-            # The object's motion relative to the static background.
-            relative = geometry.inverse(camera) @ obj.prev_T_curr
-            speed = 100 * float(np.linalg.norm(obj.center - geometry.transform(relative, obj.center))) / seconds
-            rate = float(np.degrees(geometry.rotation_angle(relative[:3, :3]))) / seconds
+            speed, rate = 100 * obj.displacement / seconds, obj.rotation_deg / seconds
             parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {rate:.0f} deg/s")
     objects = ", ".join(parts) or "no motion"
     return f"{step.times[1]:.2f} s  (latency {step.latency:.2f} s, {step.dropped} dropped)  {objects}"

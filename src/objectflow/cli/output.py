@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.motion.words import motion_texts
 from objectflow.storage import files
 
 OUTPUT_ROOT = Path("objectflow_out")
@@ -81,33 +80,21 @@ def print_objects(motion: SceneMotion) -> None:
     console = Console(highlight=False)
     if motion.objects:
         table = Table(box=None, pad_edge=False, header_style="bold")
-        for name in ("id", "pixels", "translation cm", "rotation deg", "score"):
+        for name in ("id", "pixels", "displacement, cm", "rotation, deg", "score"):
             table.add_column(name, justify="right")
         table.add_column("moving")
         for obj in motion.objects:
             table.add_row(
                 str(obj.id),
                 str(obj.pixels),
-                f"{100 * float(np.linalg.norm(obj.translation)):.1f}",
-                f"{math.degrees(float(np.linalg.norm(obj.rotation_vector))):.1f}",
+                *motion_texts(obj),
                 f"{obj.score:.2f}",
                 "yes" if obj.moving else "no",
             )
         console.print(table)
     else:
         console.print("no moving object found")
-    console.print(f"{describe_camera(motion)}; {motion.method}, {motion.seconds:.2f} s")
-
-
-def describe_camera(motion: SceneMotion) -> str:
-    """The camera motion of a result in words."""
-    if motion.camera_motion is None:
-        return "camera static"
-    from objectflow import geometry
-
-    angle = math.degrees(float(geometry.rotation_angle(motion.camera_motion[:3, :3])))
-    shift = 100 * float(np.linalg.norm(motion.camera_motion[:3, 3]))
-    return f"camera moved {shift:.1f} cm, {angle:.1f} deg"
+    console.print(f"{motion.camera_text}; {motion.method}, {motion.seconds:.2f} s")
 
 
 def _is_result(path: Path) -> bool:

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -212,9 +211,9 @@ def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> in
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     """Write and print one line per pair, read back from the results, so that a continued run prints the same."""
-    columns = ("prev", "curr", "objects", "moving", "largest motion cm", "camera cm", "seconds")
+    columns = ("prev", "curr", "objects", "moving", "largest displacement, cm", "camera, cm", "time, s")
     rows = [_row(pair, SceneMotion.load(out / _name(pair))) for pair in pairs]
-    lines = [",".join(name.replace(" ", "_") for name in columns)] + [",".join(row) for row in rows]
+    lines = [",".join(name.replace(",", "").replace(" ", "_") for name in columns)] + [",".join(row) for row in rows]
     files.write_text(out / SUMMARY, "\n".join(lines) + "\n")
     shown = rows if len(rows) <= MAX_TABLE_ROWS else [row for row in rows if row[3] != "0"][:MAX_TABLE_ROWS]
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -234,8 +233,8 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
 
 def _row(pair: tuple[int, int], motion: SceneMotion) -> tuple[str, ...]:
     moving = [obj for obj in motion.objects if obj.moving]
-    largest = max((100 * float(np.linalg.norm(obj.translation)) for obj in moving), default=0.0)
-    camera = 0.0 if motion.camera_motion is None else 100 * float(np.linalg.norm(motion.camera_motion[:3, 3]))
+    largest = 100 * max((obj.displacement for obj in moving), default=0.0)
+    camera = 100 * motion.camera_displacement
     return (
         str(pair[0]),
         str(pair[1]),

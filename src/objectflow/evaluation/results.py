@@ -58,8 +58,8 @@ class ObjectFacts:
     Attributes:
         label: in the true labels of the current frame.
         pixels: number of its pixels in the current frame.
-        displacement_cm: of its centre, in the camera frame.
-        rotation_deg: of its motion, reduced by symmetry; NaN if only the translation is known.
+        displacement_cm: of its centre in the world, without the motion of the camera.
+        rotation_deg: of its motion in the world, reduced by symmetry; NaN if only the translation is known.
         symmetric: whether it has a symmetry axis.
         moving: whether it moves relative to the background.
         in_both: whether it is visible in both frames; only such objects are in the masked columns.
@@ -237,6 +237,8 @@ def facts_of(truth: PairTruth) -> PairFacts:
     """The true properties of a pair that the breakdowns need."""
     height, width = truth.labels.shape
     pixels = np.bincount(truth.labels.ravel())
+    camera = truth.background_prev_T_curr
+    curr_T_prev = np.eye(4) if camera is None else geometry.inverse(camera)
     return PairFacts(
         key=truth.key,
         scene=truth.scene,
@@ -246,8 +248,8 @@ def facts_of(truth: PairTruth) -> PairFacts:
             ObjectFacts(
                 label=obj.label,
                 pixels=int(pixels[obj.label]),
-                displacement_cm=100 * _displacement(obj.prev_T_curr, obj.center),
-                rotation_deg=_angle_deg(obj.prev_T_curr) if obj.rotation_known else math.nan,
+                displacement_cm=100 * _displacement(curr_T_prev @ obj.prev_T_curr, obj.center),
+                rotation_deg=_angle_deg(curr_T_prev @ obj.prev_T_curr) if obj.rotation_known else math.nan,
                 symmetric=len(obj.orders) > 0,
                 moving=obj.label in truth.moving,
                 in_both=obj.in_both,

@@ -16,6 +16,7 @@ from objectflow.geometry.se3 import (
     so3_log,
     transform,
 )
+from objectflow.geometry.surface import surface_centers
 
 __all__ = [
     "Camera",
@@ -35,5 +36,6 @@ __all__ = [
     "se3_log",
     "so3_exp",
     "so3_log",
+    "surface_centers",
     "transform",
 ]

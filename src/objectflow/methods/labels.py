@@ -24,6 +24,18 @@ def relabel_present(labels: LabelImage, objects: Objects) -> tuple[LabelImage, O
     return number[labels], renamed
 
 
+def with_surface_centers(labels: LabelImage, objects: Objects, points: Float32Array) -> Objects:
+    """The objects with the centres of their visible surfaces; see `ObjectMotion.center`.
+
+    Args:
+        labels: (H, W) int32.
+        objects: of the labels; one whose pixels have no depth keeps its centre.
+        points: (H, W, 3) metres of the current frame, NaN where depth is missing.
+    """
+    centers = geometry.surface_centers(points, labels)
+    return tuple(dataclasses.replace(obj, center=centers.get(obj.id, obj.center)) for obj in objects)
+
+
 def rigid_flow(objects: Objects, labels: LabelImage, points: Float32Array) -> Float32Array:
     """(H, W, 3) metres: the flow of the objects' motions on points (H, W, 3); 0 off the objects, NaN without depth."""
     return geometry.flow_from_motions(points, labels, {obj.id: obj.prev_T_curr for obj in objects})

@@ -30,6 +30,7 @@ from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
 from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
+from objectflow.methods.labels import with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
@@ -92,7 +93,15 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
                 motion = compose(motion, pair.curr.points, one.prev_T_curr, scale_error=self.scale_error)
             motions.append(motion)
         seconds = (time.perf_counter() - start) / max(1, len(pairs))
-        return [dataclasses.replace(motion, seconds=seconds, settings=self.to_dict()) for motion in motions]
+        return [
+            dataclasses.replace(
+                motion,
+                objects=with_surface_centers(motion.labels, motion.objects, pair.curr.points),
+                seconds=seconds,
+                settings=self.to_dict(),
+            )
+            for pair, motion in zip(pairs, motions, strict=True)
+        ]
 
     def _compensate(self, pair: FramePair) -> _Compensated:
         """The pair as a static camera would have seen it, with the noise of its depth."""

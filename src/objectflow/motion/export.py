@@ -31,6 +31,12 @@ def to_coco(labels: LabelImage, objects: Sequence[ObjectMotion], image_id: int) 
                 "bbox": [left, top, width, height],
                 "iscrowd": 0,
                 "score": obj.score,
+                "attributes": {
+                    "moving": obj.moving,
+                    "displacement_m": obj.displacement,
+                    "rotation_deg": obj.rotation_deg,
+                    "own_prev_T_curr": obj.own_prev_T_curr.tolist(),
+                },
             }
         )
     return out
@@ -49,18 +55,20 @@ _VERTEX = np.dtype(
         ("red", "u1"), ("green", "u1"), ("blue", "u1"),
         ("label", "<i4"),
         ("flow_x", "<f4"), ("flow_y", "<f4"), ("flow_z", "<f4"),
+        ("own_flow_x", "<f4"), ("own_flow_y", "<f4"), ("own_flow_z", "<f4"),
     ]
 )  # fmt: skip
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
-def to_ply(frame: RgbdFrame, labels: LabelImage, flow: Float32Array) -> bytes:
-    """A binary PLY file of the pixels with depth: position and flow in metres, colour, and object label."""
+def to_ply(frame: RgbdFrame, labels: LabelImage, flow: Float32Array, own_flow: Float32Array) -> bytes:
+    """A binary PLY file of the pixels with depth: position and flows in metres, colour, and object label."""
     valid = frame.valid
     points = geometry.back_project(frame.depth, frame.camera)[valid]
     vertices = np.zeros(len(points), _VERTEX)
     for axis, name in enumerate("xyz"):
         vertices[name], vertices[f"flow_{name}"] = points[:, axis], flow[valid][:, axis]
+        vertices[f"own_flow_{name}"] = own_flow[valid][:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
         vertices[name] = frame.color[valid][:, channel]
     vertices["label"] = labels[valid]

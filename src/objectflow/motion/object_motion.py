@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,9 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.typing import Float64Array
+
+IDENTITY_TOLERANCE = 1e-9
+"""Largest difference from the identity, per matrix entry, that rounding explains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,8 +25,12 @@ class ObjectMotion:
         pixels: number of pixels with this label.
         score: 0..1, confidence that this is one rigid object with this motion.
         moving: whether it moved relative to the static background by more than the noise.
-        center: (3,) float64, metres, camera frame: X of the paper, in the current frame.
-        prev_T_curr: (4, 4) float64 rigid transform that maps a point of `curr` to its position in `prev`.
+        center: (3,) float64, metres, camera frame: the centre of the visible surface in the current frame, the mean
+            of its points with depth.
+        prev_T_curr: (4, 4) float64 rigid transform that maps a point of `curr` to its position in `prev`. It includes
+            the motion of the camera.
+        camera_motion: (4, 4) float64 `prev_T_curr` of the static background, None for a static camera. `SceneMotion`
+            sets it to its own.
     """
 
     id: int
@@ -31,15 +39,48 @@ class ObjectMotion:
     moving: bool
     center: Float64Array
     prev_T_curr: Float64Array
+    camera_motion: Float64Array | None = None
+
+    @property
+    def own_prev_T_curr(self) -> Float64Array:
+        """(4, 4) the object's own motion, without the camera's: where a point was before, in the current camera frame.
+
+        It is the identity for an object that is not moving.
+        """
+        if not self.moving:
+            return np.eye(4)
+        if self.camera_motion is None:
+            return self.prev_T_curr
+        return geometry.inverse(self.camera_motion) @ self.prev_T_curr
+
+    @property
+    def prev_center(self) -> Float64Array:
+        """(3,) metres: where the centre was before, in the current camera frame."""
+        return geometry.transform(self.own_prev_T_curr, self.center)
+
+    @property
+    def displacement(self) -> float:
+        """Metres: how far the centre of the visible surface moved in the world."""
+        return float(np.linalg.norm(self.prev_center - self.center))
+
+    @property
+    def rotation_deg(self) -> float:
+        """Degrees: how far the object rotated in the world."""
+        return math.degrees(float(geometry.rotation_angle(self.own_prev_T_curr[:3, :3])))
+
+    @property
+    def motion_known(self) -> bool:
+        """False for a region that changed but whose motion was not found: its own motion is the identity."""
+        return not self.moving or bool(np.abs(self.own_prev_T_curr - np.eye(4)).max() > IDENTITY_TOLERANCE)
 
     @property
     def rotation_vector(self) -> Float64Array:
-        """(3,) axis-angle in radians of the rotation part of `prev_T_curr`."""
+        """(3,) axis-angle in radians of the rotation part of `prev_T_curr`, which includes the camera's motion."""
         return geometry.so3_log(self.prev_T_curr[:3, :3])
 
     @property
     def translation(self) -> Float64Array:
-        """(3,) metres: displacement of the centre, T of the paper: `P_prev = R (P_curr - X) + X + T`."""
+        """(3,) metres: T of the paper, `P_prev = R (P_curr - X) + X + T` with the centre X; see `prev_T_curr`."""
         return geometry.transform(self.prev_T_curr, self.center) - self.center
 
     @property
@@ -58,9 +99,11 @@ class ObjectMotion:
     __hash__ = None  # type: ignore[assignment]  # equal by its arrays, which can change
 
     def __repr__(self) -> str:
-        shift = 100 * float(np.linalg.norm(self.translation))
-        angle = float(np.degrees(np.linalg.norm(self.rotation_vector)))
-        what = f"moved {shift:.1f} cm, {angle:.1f} deg" if self.moving else "static"
+        what = "static"
+        if self.moving:
+            what = f"moved {100 * self.displacement:.1f} cm, {self.rotation_deg:.1f} deg"
+        if not self.motion_known:
+            what = "changed, motion unknown"
         return f"ObjectMotion({self.id}: {what}, score {self.score:.2f}, {self.pixels} pixels)"
 
     def to_dict(self) -> dict[str, Any]:
@@ -70,7 +113,11 @@ class ObjectMotion:
             "pixels": self.pixels,
             "score": self.score,
             "moving": self.moving,
+            "motion_known": self.motion_known,
             "center": self.center.tolist(),
+            "displacement_m": self.displacement,
+            "rotation_deg": self.rotation_deg,
+            "own_prev_T_curr": self.own_prev_T_curr.tolist(),
             "rotation_vector": self.rotation_vector.tolist(),
             "translation": self.translation.tolist(),
             "prev_T_curr": self.prev_T_curr.tolist(),

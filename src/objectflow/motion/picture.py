@@ -11,6 +11,7 @@ import numpy as np
 
 from objectflow.motion.object_motion import ObjectMotion
 from objectflow.motion.palette import object_color
+from objectflow.motion.words import motion_texts
 from objectflow.storage.images import encode_png
 from objectflow.typing import LabelImage, UInt8Array
 
@@ -38,9 +39,8 @@ def to_html(title: str, labels: LabelImage, objects: Sequence[ObjectMotion]) -> 
     data = base64.b64encode(encode_png(picture)).decode("ascii")
     rows = "".join(
         f"<tr><td>{obj.id}</td><td>{'moving' if obj.moving else 'static'}</td>"
-        f"<td>{100 * float(np.linalg.norm(obj.translation)):.1f}</td>"
-        f"<td>{float(np.degrees(np.linalg.norm(obj.rotation_vector))):.1f}</td>"
-        f"<td>{obj.score:.2f}</td><td>{obj.pixels}</td></tr>"
+        + "".join(f"<td>{text}</td>" for text in motion_texts(obj))
+        + f"<td>{obj.score:.2f}</td><td>{obj.pixels}</td></tr>"
         for obj in objects
     )
     header = (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,16 @@ from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import export, result_folder
 from objectflow.motion.object_motion import ObjectMotion
+from objectflow.motion.own_flow import own_flow
 from objectflow.motion.picture import to_html
 from objectflow.storage import files
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
+
+FORMAT_VERSION = 2
+"""Version of `objects.json`; 2 added each object's own motion, displacement and rotation."""
+
+UNITS = {"length": "metres", "rotation_deg": "degrees", "rotation_vector": "radians", "seconds": "seconds"}
+"""Units of the numbers in `objects.json`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +64,12 @@ class SceneMotion:
             )
         if self.camera_motion is not None and self.camera_motion.shape != (4, 4):
             raise ResultError(f"camera_motion must be a 4x4 transform, not {self.camera_motion.shape}")
-        object.__setattr__(self, "objects", tuple(self.objects))
+        # Every object knows the camera's motion, so that it can tell its own motion from it.
+        objects = tuple(
+            obj if obj.camera_motion is self.camera_motion else replace(obj, camera_motion=self.camera_motion)
+            for obj in self.objects
+        )
+        object.__setattr__(self, "objects", objects)
         ids = [obj.id for obj in self.objects]
         if sorted(set(ids)) != ids or (ids and ids[0] < 1):
             raise ResultError(f"object ids must be rising, from 1, not {ids}")
@@ -102,6 +115,39 @@ class SceneMotion:
         """
         return np.asarray(self.labels == self[number].id)
 
+    @property
+    def camera_displacement(self) -> float:
+        """Metres: how far the camera moved; 0 for a static camera."""
+        return float(np.linalg.norm(self.curr_T_prev[:3, 3]))
+
+    @property
+    def camera_rotation_deg(self) -> float:
+        """Degrees: how far the camera rotated; 0 for a static camera."""
+        return math.degrees(float(geometry.rotation_angle(self.curr_T_prev[:3, :3])))
+
+    @property
+    def camera_text(self) -> str:
+        """The camera's motion in words."""
+        if self.camera_motion is None:
+            return "camera static"
+        return f"camera moved {100 * self.camera_displacement:.1f} cm, {self.camera_rotation_deg:.1f} deg"
+
+    def own_flow(self, frame: RgbdFrame) -> Float32Array:
+        """(H, W, 3) metres: the scene flow without the camera's motion, in the current camera frame.
+
+        It is the previous minus the current position of each point in the world: 0 for what stands still, static
+        objects included, and NaN where depth is missing.
+
+        Args:
+            frame: the current frame of the estimate.
+
+        Raises:
+            ResultError: the frame has another size.
+        """
+        self._check_size(frame)
+        points = geometry.back_project(frame.depth, frame.camera)
+        return own_flow(self.scene_flow, points, self.labels, self.objects, self.camera_motion)
+
     def points(self, number: int, frame: RgbdFrame) -> Float32Array:
         """(N, 3) metres: the visible surface of an object, in the camera frame of the current frame.
 
@@ -112,9 +158,12 @@ class SceneMotion:
         Raises:
             ResultError: there is no object with this id, or the frame has another size.
         """
+        self._check_size(frame)
+        return geometry.back_project(frame.depth, frame.camera)[self.mask(number) & frame.valid]
+
+    def _check_size(self, frame: RgbdFrame) -> None:
         if frame.depth.shape != self.labels.shape:
             raise ResultError(f"the frame has shape {frame.depth.shape}, but the result {self.labels.shape}")
-        return geometry.back_project(frame.depth, frame.camera)[self.mask(number) & frame.valid]
 
     def __eq__(self, other: object) -> bool:
         """Whether labels, flow, objects, camera motion and method are equal; the duration does not count."""
@@ -157,6 +206,8 @@ class SceneMotion:
     def to_ply(self, path: str | Path, frame: RgbdFrame) -> None:
         """Write the points of the current frame as a binary PLY file with colour, label and flow.
 
+        `flow_x` etc. are the scene flow, `own_flow_x` etc. the flow without the camera's motion, both in metres.
+
         Args:
             path: of the file; one that exists is replaced.
             frame: the current frame of the estimate.
@@ -165,9 +216,7 @@ class SceneMotion:
             ResultError: the frame has another size.
             StorageError: the file cannot be written.
         """
-        if frame.depth.shape != self.labels.shape:
-            raise ResultError(f"the frame has shape {frame.depth.shape}, but the result {self.labels.shape}")
-        files.write_bytes(Path(path), export.to_ply(frame, self.labels, self.scene_flow))
+        files.write_bytes(Path(path), export.to_ply(frame, self.labels, self.scene_flow, self.own_flow(frame)))
 
     def save(self, folder: str | Path) -> None:
         """Write `labels.png`, `scene_flow.npy` and `objects.json` into a new folder, atomically.
@@ -182,6 +231,8 @@ class SceneMotion:
     def write_into(self, folder: Path) -> None:
         """Write the three files of `save` into an existing folder, for callers that add further files."""
         summary = {
+            "format_version": FORMAT_VERSION,
+            "units": UNITS,
             "objects": [obj.to_dict() for obj in self.objects],
             "camera_motion": None if self.camera_motion is None else self.camera_motion.tolist(),
             "method": self.method,

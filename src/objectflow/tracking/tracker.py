@@ -130,7 +130,7 @@ class Tracker:
         for (obj, surface), number in zip(known, links, strict=True):
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
-            track = self._track(number, obj, surface, prev_time, world_T_prev)
+            track = self._track(number, obj, prev_time, world_T_prev)
             track.times.append(time)
             track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
@@ -178,7 +178,6 @@ class Tracker:
         self,
         track_id: int | None,
         obj: ObjectMotion,
-        surface: Float64Array,
         prev_time: float,
         world_T_prev: Float64Array,
     ) -> Track:
@@ -193,7 +192,7 @@ class Tracker:
                 track.scores.append(track.scores[-1])
             return track
         start = np.eye(4)
-        start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, surface.mean(axis=0))
+        start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
         track = Track(self._next, [prev_time], [start], [0], [obj.score])
         self._tracks[self._next] = track
         self._next += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import cv2
@@ -42,30 +43,43 @@ def disk(image: UInt8Array, center: Point, radius: float, color: Rgb) -> None:
 
 
 def arrow(image: UInt8Array, start: Point, end: Point, color: Rgb, width: float, edge: Rgb) -> None:
-    """Draw an arrow with a solid head and an outline in `edge`, visible on any background."""
+    """Draw an arrow with a solid head and an outline in `edge`, from exactly `start` to exactly `end`.
+
+    Args:
+        image: (H, W, 3) uint8 RGB, changed in place.
+        start, end: pixels.
+        color: of the inside.
+        width: of the shaft, pixels; short arrows are thinner.
+        edge: of the outline.
+    """
     a, b = np.array(start), np.array(end)
     length = float(np.linalg.norm(b - a))
     if length < 1e-6:
         return
     along = (b - a) / length
     side = np.array([-along[1], along[0]])
-    # The head of a short arrow takes up to 75% of its length.
-    head = min(4.2 * width, 0.75 * length)
+    width = min(width, 0.22 * length)
+    # The head of a short arrow takes up to 70% of its length.
+    head, wing = min(4.2 * width, 0.7 * length), 1.9 * width
+    rim = 0.28 * width
     neck = b - along * head
-    for rim, shade in ((max(1.5, 0.45 * width), edge), (0.0, color)):
-        half = width / 2 + rim
-        tail = a - along * rim
-        shaft = [tail + side * half, neck + side * half, neck - side * half, tail - side * half]
-        wing = 0.52 * head + 1.3 * rim
-        tip = [b + along * 1.8 * rim, neck - along * rim + side * wing, neck - along * rim - side * wing]
-        for shape in (shaft, tip):
+    # The outline keeps its distance to all sides of the head, which are inclined by wing over head.
+    tip_rim = rim * math.hypot(head, wing) / wing
+    inner_wing = wing * (head - tip_rim - rim) / head
+    for half, tail, base, tip, spread in (
+        (width / 2, a, neck, b, wing),
+        (width / 2 - rim, a + along * rim, neck + along * rim, b - along * tip_rim, inner_wing),
+    ):
+        shaft = [tail + side * half, base + side * half, base - side * half, tail - side * half]
+        shade = edge if base is neck else color
+        for shape in (shaft, [tip, base + side * spread, base - side * spread]):
             polygon(image, [(float(x), float(y)) for x, y in shape], shade)
 
 
 def text_size(text: str, size: float, *, bold: bool = False) -> tuple[float, float]:
     """Width of a line of text and height of its capitals, pixels, at a line height of `size` pixels."""
     if hasattr(cv2, "FontFace"):
-        x, _, width, _ = cv2.getTextSize((1, 1), text, (0, 0), _font(), _points(size), 600 if bold else 400)
+        x, _, width, _ = cv2.getTextSize((1, 1), _plain(text), (0, 0), _font(), _points(size), 600 if bold else 400)
         return float(x + width), 0.72 * size
     (width, _), _ = cv2.getTextSize(_ascii(text), cv2.FONT_HERSHEY_DUPLEX, size / 30, _stroke(size, bold))
     return float(width), 0.72 * size
@@ -78,7 +92,7 @@ def write(
     origin = (round(left), round(baseline))
     if hasattr(cv2, "FontFace"):
         # OpenCV 5 has TrueType fonts.
-        cv2.putText(image, text, origin, color, _font(), _points(size), 600 if bold else 400)
+        cv2.putText(image, _plain(text), origin, color, _font(), _points(size), 600 if bold else 400)
     else:
         cv2.putText(
             image, _ascii(text), origin, cv2.FONT_HERSHEY_DUPLEX, size / 30, color, _stroke(size, bold), cv2.LINE_AA
@@ -87,6 +101,11 @@ def write(
 
 def _font() -> Any:
     return cv2.FontFace("sans")
+
+
+def _plain(text: str) -> str:
+    """Replace zeros, which the TrueType font of OpenCV 5 strikes through, by its letter O."""
+    return text.replace("0", "O")
 
 
 def _ascii(text: str) -> str:

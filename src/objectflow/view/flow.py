@@ -3,61 +3,99 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from objectflow import geometry
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.resample import nearest_indices, resize_color
 from objectflow.motion import SceneMotion
-from objectflow.typing import BoolMask, Float64Array, UInt8Array
+from objectflow.motion.own_flow import own_flow
+from objectflow.typing import BoolMask, Float32Array, LabelImage, UInt8Array
 from objectflow.view import canvas, colors
 from objectflow.view.colors import INK, NO_DEPTH
 
 TARGET_WIDTH = 640
-"""Minimum width of each of the two panels, pixels; smaller images are enlarged by an integer factor."""
+"""Minimum width of each panel, pixels; smaller images are enlarged by an integer factor."""
+
+MAX_LENGTH = 1280
+"""Maximum length of a panel's longer side, pixels; larger images are reduced."""
 
 SMALLEST_RANGE = 0.01
 """Minimum displacement at full colour, metres, so that noise stays pale."""
 
 
 def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
-    """Draw the motion of every point from the previous to the current frame.
+    """Draw the motion of every point in the world from the previous to the current frame.
 
-    Both panels show motion forward in time (the negative of `scene_flow`) on the current frame's pixels: the left
-    panel the motion across the image (hue = direction, saturation = length), the right panel the motion in depth.
-    Pixels without depth are grey; the image is faintly visible for orientation.
+    The panels show motion forward in time (the negative of `SceneMotion.own_flow`) on the current frame's pixels: the
+    first the motion across the image (hue = direction, saturation = length), the second the motion in depth. If the
+    camera moved, a third panel shows the apparent motion of a static scene. Pixels without depth are grey; the image
+    is faintly visible for orientation.
 
     Returns:
         (H', W', 3) uint8 RGB.
     """
-    moved = -motion.scene_flow.astype(np.float64)
+    color, labels, flow, points = _sampled(curr, motion)
+    moved = -own_flow(flow, points, labels, motion.objects, motion.camera_motion)
     known = np.asarray(np.isfinite(moved).all(axis=-1), dtype=np.bool_)
     moved = np.where(known[..., None], moved, 0)
     full = flow_range(moved[known])
-    across = colors.wheel(moved[..., 0] / full, moved[..., 1] / full)
-    depth = colors.diverging(moved[..., 2] / full)
-    scale = math.ceil(TARGET_WIDTH / curr.camera.width)
-    panels = [_panel(picture, known, curr.color, scale) for picture in (across, depth)]
-    height, width = panels[0].shape[:2]
+    panels = [
+        (
+            "Motion across the image, previous to current frame",
+            colors.wheel(moved[..., 0] / full, moved[..., 1] / full),
+        ),
+        ("Motion in depth", colors.diverging(moved[..., 2] / full)),
+    ]
+    camera_full = 0.0
+    if motion.camera_motion is not None:
+        apparent = np.nan_to_num(points - geometry.transform(motion.camera_motion, points)).astype(np.float32)
+        camera_full = flow_range(apparent[known])
+        picture = colors.wheel(apparent[..., 0] / camera_full, apparent[..., 1] / camera_full)
+        panels.append((f"Motion of the camera, taken out: {_camera_numbers(motion)}", picture))
+    scale = math.ceil(TARGET_WIDTH / labels.shape[1])
+    pictures = [_panel(picture, known, color, scale) for _, picture in panels]
+    height, width = pictures[0].shape[:2]
     unit = width / 640
     margin, title, legend = (round(x * unit) for x in (14, 34, 104))
-    sheet = np.full((title + height + legend, 2 * width + 3 * margin, 3), 255, np.uint8)
-    lefts = (margin, 2 * margin + width)
-    for left, picture in zip(lefts, panels, strict=True):
+    sheet = np.full((title + height + legend, len(panels) * (width + margin) + margin, 3), 255, np.uint8)
+    lefts = [margin + k * (width + margin) for k in range(len(panels))]
+    for left, (text, _), picture in zip(lefts, panels, pictures, strict=True):
         sheet[title : title + height, left : left + width] = picture
         cv2.rectangle(sheet, (left, title), (left + width - 1, title + height - 1), (173, 181, 189), 1)
-    for left, text in zip(
-        lefts, ("Motion across the image, previous to current frame", "Motion in depth"), strict=True
-    ):
         canvas.write(sheet, text, left, title - 11 * unit, 18 * unit, INK, bold=True)
     top = title + height
     _draw_wheel(sheet, lefts[0] + 52 * unit, top + legend / 2, 38 * unit, full, unit)
     _draw_no_depth(sheet, lefts[0] + width, top + legend / 2, unit)
     _draw_bar(sheet, lefts[1], top + 24 * unit, width, full, unit)
+    if camera_full:
+        _draw_wheel(sheet, lefts[2] + 52 * unit, top + legend / 2, 38 * unit, camera_full, unit)
     return sheet
 
 
-def flow_range(moved: Float64Array) -> float:
+def _camera_numbers(motion: SceneMotion) -> str:
+    return f"{100 * motion.camera_displacement:.1f} cm, {motion.camera_rotation_deg:.1f}°"
+
+
+def _sampled(curr: RgbdFrame, motion: SceneMotion) -> tuple[UInt8Array, LabelImage, Float32Array, Float32Array]:
+    """Colour, labels, scene flow and points (H, W, 3) at no more than `MAX_LENGTH`; flow is never averaged."""
+    camera, factor = curr.camera, MAX_LENGTH / max(curr.camera.width, curr.camera.height)
+    if factor >= 1:
+        return curr.color, motion.labels, motion.scene_flow, geometry.back_project(curr.depth, camera)
+    size = (max(1, round(factor * camera.height)), max(1, round(factor * camera.width)))
+    rows, columns = nearest_indices(curr.depth.shape, size)
+    grid = (rows[:, None], columns)
+    pixels = np.stack(np.broadcast_arrays(columns, rows[:, None]), axis=-1).astype(np.float32)
+    depth = curr.depth[grid]
+    points = geometry.back_project_pixels(pixels, np.where(depth > 0, depth, np.float32(np.nan)), camera)
+    return resize_color(curr.color, size), motion.labels[grid], motion.scene_flow[grid], points.astype(np.float32)
+
+
+def flow_range(moved: NDArray[np.floating[Any]]) -> float:
     """The length in metres at full colour: a round number above the 98th percentile of (N, 3) displacements."""
     lengths = np.linalg.norm(moved, axis=-1)
     # Static points are excluded, since objects may cover only a small part of the image.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -10,65 +12,127 @@ from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.geometry.resample import resize_color, resize_nearest
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.typing import BoolMask, Float32Array, UInt8Array
+from objectflow.typing import BoolMask, Float32Array, LabelImage, UInt8Array
 from objectflow.view import canvas
-from objectflow.view.colors import INK, PAPER, Rgb, object_color
+from objectflow.view.colors import INK, PAPER, object_color
+from objectflow.view.tags import Tag, draw_legend, draw_numbers, draw_tags
 
 TARGET_WIDTH = 960
 """Minimum width, pixels; smaller images are enlarged by an integer factor so that text and outlines are crisp."""
+MAX_LENGTH = 1920
+"""Maximum length of the longer side, pixels; larger images are reduced."""
+MAX_TAGS = 10
+"""Number of moving objects above which captions move from the image to a legend below it."""
 
 
-def draw_overlay(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
+class Trail(NamedTuple):
+    """The path of an object's centre until now: (N, 3) metres, current camera frame, the oldest first."""
+
+    points: Float32Array
+
+
+def draw_overlay(
+    curr: RgbdFrame,
+    motion: SceneMotion,
+    *,
+    ids: Mapping[int, int] | None = None,
+    trails: Mapping[int, Trail] | None = None,
+) -> UInt8Array:
     """Draw the objects over the current frame.
 
-    Moving objects are filled and have an arrow from their centre's previous to its current position; static objects
-    are outlined.
+    Moving objects are filled and have an arrow from their centre's previous to its current position in the world,
+    both as seen by the current camera; static objects are outlined.
 
     Args:
         curr: the current frame, (H, W).
         motion: its result, of the same size.
+        ids: number and colour of each object by its id in the result, such as those of its track; its id if absent.
+        trails: by the same numbers.
 
     Returns:
-        (s H, s W, 3) uint8 RGB, with an integer factor s >= 1.
+        (H', W', 3) uint8 RGB. W' is a whole multiple of W for images up to `MAX_LENGTH`. More than `MAX_TAGS` moving
+        objects are listed in a legend below the image.
     """
-    scale = math.ceil(TARGET_WIDTH / curr.camera.width)
-    size = (curr.camera.width * scale, curr.camera.height * scale)
+    numbers = {obj.id: (ids or {}).get(obj.id, obj.id) for obj in motion.objects}
+    color, labels, camera = _reduced(curr, motion.labels)
+    scale = math.ceil(TARGET_WIDTH / camera.width)
+    size = (camera.width * scale, camera.height * scale)
     unit = max(size) / 960
-    photo = np.asarray(cv2.resize(curr.color, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    photo = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_CUBIC), dtype=np.uint8) if scale > 1 else color
     grey = cv2.cvtColor(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
     # The image is desaturated and brightened so that the objects stand out.
-    image = np.asarray(cv2.addWeighted(photo, 0.55, cv2.addWeighted(grey, 0.85, grey, 0, 38), 0.45, 0), dtype=np.uint8)
-    ordered = sorted(motion.objects, key=lambda obj: obj.moving)
+    image = np.asarray(cv2.addWeighted(photo, 0.2, grey, 0.5, 70), dtype=np.uint8)
+    boxes = ndimage.find_objects(labels)
+    visible = [obj for obj in motion.objects if obj.id <= len(boxes) and boxes[obj.id - 1] is not None]
+    ordered = sorted(visible, key=lambda obj: obj.moving)
+    anchors = {}
     for obj in ordered:
-        image = _draw_mask(image, photo, motion.labels == obj.id, obj, scale, unit)
+        shade = object_color(numbers[obj.id])
+        anchors[obj.id] = _draw_mask(image, photo, labels, obj, boxes[obj.id - 1], shade, scale, unit)
+    for number, trail in (trails or {}).items():
+        _draw_trail(image, camera, trail, object_color(number), scale, unit)
     tags = []
     for obj in ordered:
-        if not (motion.labels == obj.id).any():
-            continue
-        anchor = _anchor(motion.labels == obj.id, scale)
+        anchor = anchors[obj.id]
         if obj.moving:
-            anchor = _draw_arrow(image, curr, obj, scale, unit) or anchor
-        tags.append((obj, anchor))
-    for obj, anchor in tags:
-        _draw_tag(image, obj, anchor, unit)
+            anchor = _draw_arrow(image, camera, obj, scale, unit) or anchor
+        tags.append(Tag.of(obj, numbers[obj.id], anchor, boxes[obj.id - 1], scale))
+    if sum(obj.moving for obj in ordered) > MAX_TAGS:
+        draw_numbers(image, tags, unit)
+        return draw_legend(image, tags, unit)
+    draw_tags(image, tags, labels > 0, scale, unit)
     return image
 
 
+def _reduced(curr: RgbdFrame, labels: LabelImage) -> tuple[UInt8Array, LabelImage, Camera]:
+    """Colour, labels and camera at no more than `MAX_LENGTH`."""
+    camera = curr.camera
+    factor = MAX_LENGTH / max(camera.width, camera.height)
+    if factor >= 1:
+        return curr.color, labels, camera
+    camera = camera.scaled(max(1, round(factor * camera.width)), max(1, round(factor * camera.height)))
+    size = (camera.height, camera.width)
+    return resize_color(curr.color, size), np.asarray(resize_nearest(labels, size), dtype=np.int32), camera
+
+
 def _draw_mask(
-    image: UInt8Array, photo: UInt8Array, mask: BoolMask, obj: ObjectMotion, scale: int, unit: float
-) -> UInt8Array:
-    """Outline a mask smoothly, and fill it if the object moves."""
-    distance = _signed_distance(mask, scale)
-    inside = np.clip(distance + 0.5, 0, 1)
-    color = object_color(obj.id)
-    if obj.moving:
-        restored = image.astype(np.float32)
-        restored += (photo - restored) * inside[..., None]
-        image = canvas.blend(np.rint(restored).astype(np.uint8), color, 0.38 * inside)
+    image: UInt8Array,
+    photo: UInt8Array,
+    labels: LabelImage,
+    obj: ObjectMotion,
+    box: tuple[slice, ...],
+    color: tuple[int, int, int],
+    scale: int,
+    unit: float,
+) -> canvas.Point:
+    """Outline a mask smoothly, fill it if the object moves, and return its point furthest from its border.
+
+    Only the mask's surroundings are computed, since large images hold small objects.
+    """
     width = (1.6 if obj.moving else 1.1) * unit
-    image = canvas.blend(image, PAPER, 0.85 * np.clip(width + 1.2 * unit + 0.5 - np.abs(distance), 0, 1))
-    return canvas.blend(image, color, np.clip(width + 0.5 - np.abs(distance), 0, 1))
+    margin = math.ceil((width + 1.2 * unit + 1) / scale) + 4
+    rows, columns = (
+        slice(max(0, side.start - margin), min(length, side.stop + margin))
+        for side, length in zip(box, labels.shape, strict=True)
+    )
+    mask = labels[rows, columns] == obj.id
+    distance = _signed_distance(mask, scale)
+    window = (
+        slice(rows.start * scale, rows.stop * scale),
+        slice(columns.start * scale, columns.stop * scale),
+    )
+    part, inside = image[window], np.clip(distance + 0.5, 0, 1)
+    if obj.moving:
+        restored = part.astype(np.float32)
+        restored += (photo[window] - restored) * inside[..., None]
+        part = canvas.blend(np.rint(restored).astype(np.uint8), color, 0.5 * inside)
+    part = canvas.blend(part, PAPER, 0.85 * np.clip(width + 1.2 * unit + 0.5 - np.abs(distance), 0, 1))
+    image[window] = canvas.blend(part, color, np.clip(width + 0.5 - np.abs(distance), 0, 1))
+    row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
+    return float(column + window[1].start), float(row + window[0].start)
 
 
 def _signed_distance(mask: BoolMask, scale: int) -> Float32Array:
@@ -83,60 +147,31 @@ def _signed_distance(mask: BoolMask, scale: int) -> Float32Array:
     return np.where(inside > 0, into - 0.5, 0.5 - out).astype(np.float32)
 
 
-def _anchor(mask: BoolMask, scale: int) -> canvas.Point:
-    """The mask's point furthest from its border, in coordinates of the enlarged picture."""
-    distance = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
-    v, u = np.unravel_index(int(np.argmax(distance)), mask.shape)
-    return _enlarge(float(u), float(v), scale)
-
-
-def _draw_arrow(image: UInt8Array, curr: RgbdFrame, obj: ObjectMotion, scale: int, unit: float) -> canvas.Point | None:
+def _draw_arrow(image: UInt8Array, camera: Camera, obj: ObjectMotion, scale: int, unit: float) -> canvas.Point | None:
     """Draw the displacement of the centre in the image and return its end, or None if it is out of view."""
-    ends = geometry.project(np.stack([obj.center + obj.translation, obj.center]), curr.camera)
-    if not np.isfinite(ends).all() or np.abs(ends).max() > 4 * max(curr.camera.width, curr.camera.height):
+    ends = geometry.project(np.stack([obj.prev_center, obj.center]), camera)
+    if not np.isfinite(ends).all() or np.abs(ends).max() > 4 * max(camera.width, camera.height):
         return None
     start, end = (_enlarge(float(u), float(v), scale) for u, v in ends)
     if math.dist(start, end) >= 3 * unit:
-        canvas.arrow(image, start, end, PAPER, 4.5 * unit, INK)
-    canvas.disk(image, start, 5.5 * unit, INK)
-    canvas.disk(image, start, 4.0 * unit, PAPER)
+        canvas.arrow(image, start, end, PAPER, 5.5 * unit, INK)
+    elif obj.motion_known:
+        # A motion along the ray has no direction in the image.
+        canvas.disk(image, end, 4.5 * unit, INK)
+        canvas.disk(image, end, 3.0 * unit, PAPER)
     return end
 
 
-def _draw_tag(image: UInt8Array, obj: ObjectMotion, anchor: canvas.Point, unit: float) -> None:
-    """Draw a rounded tag beside the anchor: the id and, for moving objects, displacement and rotation."""
-    size = 17 * unit
-    number = str(obj.id)
-    caption = ""
-    if obj.moving:
-        angle = math.degrees(float(np.linalg.norm(obj.rotation_vector)))
-        caption = f"{100 * float(np.linalg.norm(obj.translation)):.1f} cm  {angle:.0f}°"
-    number_width, height = canvas.text_size(number, size, bold=True)
-    caption_width = canvas.text_size(caption, size)[0] + 9 * unit if caption else 0.0
-    pad = 7 * unit
-    box = (max(number_width, height) + 2 * pad, height + 1.7 * pad)
-    total = box[0] + (caption_width + pad if caption else 0)
-    left = min(max(anchor[0] + 12 * unit, 4 * unit), image.shape[1] - total - 4 * unit)
-    top = min(max(anchor[1] - box[1] - 10 * unit, 4 * unit), image.shape[0] - box[1] - 4 * unit)
-    color = object_color(obj.id)
-    _rounded(image, left - 1.5 * unit, top - 1.5 * unit, total + 3 * unit, box[1] + 3 * unit, PAPER, 6.5 * unit)
-    _rounded(image, left, top, box[0], box[1], color, 5 * unit)
-    baseline = top + (box[1] + height) / 2
-    canvas.write(image, number, left + (box[0] - number_width) / 2, baseline, size, PAPER, bold=True)
-    if caption:
-        canvas.write(image, caption, left + box[0] + 7 * unit, baseline, size, INK)
-
-
-def _rounded(
-    image: UInt8Array, left: float, top: float, width: float, height: float, color: Rgb, radius: float
+def _draw_trail(
+    image: UInt8Array, camera: Camera, trail: Trail, color: tuple[int, int, int], scale: int, unit: float
 ) -> None:
-    right, bottom = left + width, top + height
-    x0, x1, y0, y1 = left + radius, right - radius, top + radius, bottom - radius
-    canvas.polygon(image, [(x0, top), (x1, top), (x1, bottom), (x0, bottom)], color)
-    canvas.polygon(image, [(left, y0), (right, y0), (right, y1), (left, y1)], color)
-    for x in (x0, x1):
-        for y in (y0, y1):
-            canvas.disk(image, (x, y), radius, color)
+    """Draw the earlier positions of an object's centre as a line."""
+    pixels = geometry.project(trail.points, camera)
+    limit = 4 * max(camera.width, camera.height)
+    points = [_enlarge(float(u), float(v), scale) for u, v in pixels if max(abs(u), abs(v)) < limit]
+    if len(points) > 1:
+        canvas.line(image, points, PAPER, round(5 * unit))
+        canvas.line(image, points, color, round(3 * unit))
 
 
 def _enlarge(u: float, v: float, scale: int) -> canvas.Point:

@@ -35,17 +35,17 @@ def color_by_object(gray: UInt8Array, ids: NDArray[np.uint16]) -> UInt8Array:
     return painted
 
 
-def color_by_flow(gray: UInt8Array, scene_flow: Float32Array) -> UInt8Array:
+def color_by_flow(gray: UInt8Array, own_flow: Float32Array) -> UInt8Array:
     """Colour the points by motion forward in time, as in `flow.png`; static points stay grey.
 
     Args:
         gray: (N, 3) grey levels of the points.
-        scene_flow: (N, 3) metres, as in `SceneMotion`.
+        own_flow: (N, 3) metres, as of `SceneMotion.own_flow`.
 
     Returns:
         (N, 3) uint8 RGB; hue = direction in the image.
     """
-    moved = -scene_flow.astype(np.float64)
+    moved = -own_flow.astype(np.float64)
     known = np.isfinite(moved).all(axis=-1)
     painted = gray.copy()
     full = flow_range(moved[known])

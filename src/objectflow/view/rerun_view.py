@@ -148,7 +148,7 @@ class RerunViewer:
         # Points as wide as their spacing make surfaces look closed.
         radii = 0.75 * step * points[:, 2] / frame.camera.fx
         by_object = gray if shown.ids is None else color_by_object(gray, shown.ids[grid][valid])
-        by_flow = gray if shown.scene_flow is None else color_by_flow(gray, shown.scene_flow[grid][valid])
+        by_flow = gray if shown.own_flow is None else color_by_flow(gray, shown.own_flow[grid][valid])
         self._log("world/points/by_object", rr.Points3D(world, colors=by_object, radii=radii))
         self._log("world/points/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ from objectflow import geometry
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
+from objectflow.motion.words import motion_caption
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import Float32Array, Float64Array
 
@@ -50,7 +50,7 @@ class ViewerFrame:
         frame: colour and depth.
         world_T_camera: (4, 4), metres.
         ids: (H, W) uint16 object ids, 0 = static background; None for the first frame.
-        scene_flow: (H, W, 3) float32 metres, as in `SceneMotion`; None for the first frame.
+        own_flow: (H, W, 3) float32 metres, as of `SceneMotion.own_flow`; None for the first frame.
         objects: in order of id.
     """
 
@@ -59,7 +59,7 @@ class ViewerFrame:
     frame: RgbdFrame
     world_T_camera: Float64Array
     ids: NDArray[np.uint16] | None = None
-    scene_flow: Float32Array | None = None
+    own_flow: Float32Array | None = None
     objects: tuple[ShownObject, ...] = ()
 
 
@@ -75,17 +75,18 @@ def pair_frames(prev: RgbdFrame, curr: RgbdFrame, motion: SceneMotion) -> tuple[
     world_T_curr = np.eye(4) if motion.camera_motion is None else motion.camera_motion
     before, after = [], []
     for obj in motion.objects:
+        path = geometry.transform(world_T_curr, np.stack([obj.prev_center, obj.center]))
         start = np.eye(4)
-        start[:3, 3] = geometry.transform(obj.prev_T_curr, obj.center)
-        pose = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ start
+        start[:3, 3] = path[0]
+        own = world_T_curr @ obj.own_prev_T_curr @ geometry.inverse(world_T_curr)
+        pose = geometry.inverse(own) @ start
         name = f"object {obj.id}" if obj.moving else f"object {obj.id} (static)"
         before.append(ShownObject(obj.id, name, start))
-        path = np.stack([start[:3, 3], geometry.transform(world_T_curr, obj.center)])
-        after.append(ShownObject(obj.id, name, pose, path if obj.moving else None, caption(path, start, pose)))
+        after.append(ShownObject(obj.id, name, pose, path if obj.moving else None, motion_caption(obj)))
     gap = None if prev.timestamp is None or curr.timestamp is None else curr.timestamp - prev.timestamp
     return (
         ViewerFrame(0, None if gap is None else 0.0, prev, np.eye(4), objects=tuple(before)),
-        ViewerFrame(1, gap, curr, world_T_curr, motion.labels.astype(np.uint16), motion.scene_flow, tuple(after)),
+        ViewerFrame(1, gap, curr, world_T_curr, motion.labels.astype(np.uint16), motion.own_flow(curr), tuple(after)),
     )
 
 
@@ -114,10 +115,9 @@ def tracked_frames(
             continue
         start, pose = track.world_T_object[-2:]
         obj, name = by_track[track.id], f"object {track.id}"
-        prev_center = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
-        path = np.stack([prev_center, geometry.transform(world_T_curr, obj.center)])
+        path = geometry.transform(world_T_curr, np.stack([obj.prev_center, obj.center]))
         before.append(ShownObject(track.id, name, start))
-        after.append(ShownObject(track.id, name, pose, path, caption(path, start, pose)))
+        after.append(ShownObject(track.id, name, pose, path, motion_caption(obj)))
     id_of_label = np.full(int(motion.labels.max(initial=0)) + 1, NO_TRACK, np.uint16)
     id_of_label[0] = 0
     for label, track_id in tracks.items():
@@ -126,7 +126,7 @@ def tracked_frames(
     ids = id_of_label[motion.labels]
     return (
         ViewerFrame(numbers[0], seconds[0], frames[0], world_T_prev, objects=tuple(before)),
-        ViewerFrame(numbers[1], seconds[1], frames[1], world_T_curr, ids, motion.scene_flow, tuple(after)),
+        ViewerFrame(numbers[1], seconds[1], frames[1], world_T_curr, ids, motion.own_flow(frames[1]), tuple(after)),
     )
 
 
@@ -142,9 +142,3 @@ def check_size(motion: SceneMotion, curr: RgbdFrame, where: str) -> None:
             f"{where} is {width}x{height}, the frames are {curr.camera.width}x{curr.camera.height}: "
             "it was not made from these frames"
         )
-
-
-def caption(path: Float64Array, start: Float64Array, pose: Float64Array) -> str:
-    """Displacement of a centre along `path` (2, 3) and rotation between two poses (4, 4), for display."""
-    angle = math.degrees(float(geometry.rotation_angle(pose[:3, :3] @ start[:3, :3].T)))
-    return f"{100 * float(np.linalg.norm(path[1] - path[0])):.1f} cm, {angle:.0f}°"

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from objectflow import geometry
 from objectflow.evaluation.data.truth import PairTruth
 from objectflow.evaluation.metrics.pair_score import PairScore
 from objectflow.evaluation.results import EvaluationPair
-from objectflow.geometry.se3 import so3_log, transform
 from objectflow.motion import SceneMotion
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage, UInt8Array
 from objectflow.view.colors import Rgb, object_color
@@ -34,13 +34,13 @@ _MAX_LABELS = 255
 
 
 class _LayerObject(NamedTuple):
-    """An object of a layer: its value in the label image, name, colour and motion."""
+    """An object of a layer: its value in the label image, name, colour, centre and motion without the camera's."""
 
     label: int
     name: str
     color: Rgb
     center: Float64Array
-    prev_T_curr: Float64Array
+    own_prev_T_curr: Float64Array
     rotation_known: bool
 
 
@@ -65,11 +65,15 @@ def make_pair_block(
     small = math.ceil(width / MAX_IMAGE_WIDTH)
     size = (width // small, height // small)
     camera = curr.camera
-    moved = -truth.scene_flow[np.isfinite(truth.scene_flow).all(axis=-1)].astype(np.float64)
-    layers = [_layer(TRUTH, truth.labels, truth.scene_flow, _true_objects(truth), curr.valid, grid, small, size)]
+    points = geometry.back_project(curr.depth, curr.camera)
+    true_flow = _without_camera(truth.scene_flow, points, truth)
+    moved = -true_flow[np.isfinite(true_flow).all(axis=-1)].astype(np.float64)
+    layers = [_layer(TRUTH, truth.labels, true_flow, _true_objects(truth, points), curr.valid, grid, small, size)]
     for method, motion in predictions.items():
         objects = _predicted_objects(motion, truth, scores.get(method))
-        layers.append(_layer(method, motion.labels, motion.scene_flow, objects, curr.valid, grid, small, size))
+        # The true motion of the camera is taken out, so that the differences of flows remain their errors.
+        flow = _without_camera(motion.scene_flow, points, truth)
+        layers.append(_layer(method, motion.labels, flow, objects, curr.valid, grid, small, size))
     return {
         "prev": _photo(pair.prev.color, size),
         "curr": _photo(curr.color, size),
@@ -113,8 +117,8 @@ def _layer(
 
 
 def _object(obj: _LayerObject) -> dict[str, Any]:
-    moved = transform(obj.prev_T_curr, obj.center) - obj.center
-    angle = math.degrees(float(np.linalg.norm(so3_log(obj.prev_T_curr[:3, :3]))))
+    moved = geometry.transform(obj.own_prev_T_curr, obj.center) - obj.center
+    angle = math.degrees(float(geometry.rotation_angle(obj.own_prev_T_curr[:3, :3])))
     return {
         "name": obj.name,
         "color": obj.color,
@@ -124,9 +128,27 @@ def _object(obj: _LayerObject) -> dict[str, Any]:
     }
 
 
-def _true_objects(truth: PairTruth) -> list[_LayerObject]:
+def _without_camera(flow: Float32Array, points: Float32Array, truth: PairTruth) -> Float32Array:
+    """Scene flow (H, W, 3) against the world: the true motion of the camera is taken out."""
+    camera = truth.background_prev_T_curr
+    if camera is None:
+        return flow
+    return (geometry.transform(geometry.inverse(camera), points + flow) - points).astype(np.float32)
+
+
+def _true_objects(truth: PairTruth, points: Float32Array) -> list[_LayerObject]:
+    camera = truth.background_prev_T_curr
+    curr_T_prev = np.eye(4) if camera is None else geometry.inverse(camera)
+    centers = geometry.surface_centers(points, truth.labels)
     return [
-        _LayerObject(o.label, f"object {o.label}", object_color(o.label), o.center, o.prev_T_curr, o.rotation_known)
+        _LayerObject(
+            label=o.label,
+            name=f"object {o.label}",
+            color=object_color(o.label),
+            center=centers.get(o.label, o.center),
+            own_prev_T_curr=curr_T_prev @ o.prev_T_curr,
+            rotation_known=o.rotation_known,
+        )
         for o in truth.objects
     ]
 
@@ -143,7 +165,7 @@ def _predicted_objects(motion: SceneMotion, truth: PairTruth, score: PairScore |
             name, color = f"extra {obj.id}", object_color(spare)
         else:
             name, color = f"object {match.true}, F {match.f:.2f}", object_color(match.true)
-        shown.append(_LayerObject(obj.id, name, color, obj.center, obj.prev_T_curr, True))
+        shown.append(_LayerObject(obj.id, name, color, obj.center, obj.own_prev_T_curr, True))
     return shown
 
 

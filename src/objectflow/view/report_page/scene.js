@@ -108,7 +108,7 @@ class SceneView {
     const up = new THREE.Vector3(0, 1, 0);
     const rotation = new THREE.Quaternion().setFromUnitVectors(up, displacement.clone().normalize());
     const part = (shape, from, to, color, inFront) => {
-      // Drawn over the points, because the centre lies behind the visible surface.
+      // Drawn over the points, so that none of them hides an arrow.
       const material = new THREE.MeshBasicMaterial({ color, depthTest: false, depthWrite: false, transparent: true });
       const mesh = new THREE.Mesh(shape, material);
       mesh.position.lerpVectors(start, end, (from + to) / 2 / length);
