@@ -14,8 +14,9 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import write_shard
 from objectflow.errors import DatasetError, StorageError
 from objectflow.runtime.pool import Pool
+from objectflow.storage.temporaries import sweep
 from objectflow.synth.generation.jobs import GenerationJob
-from objectflow.synth.generation.set_folder import check_folder, remove_stale_temporaries, write_manifest
+from objectflow.synth.generation.set_folder import check_folder, write_manifest
 from objectflow.synth.generation.tasks import SceneRows, Task
 
 
@@ -76,7 +77,7 @@ def generate(
         mine = [
             (job, number) for job in jobs for number in range(len(job.shards)) if number % shard[1] == shard[0] - 1
         ]
-        remove_stale_temporaries(out, [job.shard_name(number) for job, number in mine])
+        sweep(out)
         _make_shards(out, mine, pool, origin, report)
         return write_manifest(out, origin, jobs)
     finally:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from objectflow.dataset import manifest as manifests
 from objectflow.dataset.manifest import Manifest, Part, Shard, current_settings, part_name
 from objectflow.dataset.shards import read_metadata
 from objectflow.errors import DatasetError
@@ -52,27 +50,6 @@ def _difference(name: str, found: Any, ours: Any) -> str:
             if found.get(key) != ours.get(key):
                 return _difference(f"{name}.{key}" if name != "settings" else key, found.get(key), ours.get(key))
     return f"{name} {found!r}, not {ours!r}"
-
-
-def remove_stale_temporaries(out: Path, names: Iterable[str]) -> None:
-    """Remove the temporary files that killed runs left for the given names; those of running processes stay."""
-    for path in out.glob(".*.tmp"):
-        match = re.fullmatch(r"\.(.+)\.(\d+)\.tmp", path.name)
-        if match and match[1] in {*names, manifests.FILE} and not _is_other_process(int(match[2])):
-            path.unlink(missing_ok=True)
-
-
-def _is_other_process(process: int) -> bool:
-    """Whether another running process has this id."""
-    if process == os.getpid():
-        return False
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def write_manifest(out: Path, origin: Mapping[str, Any], jobs: Sequence[GenerationJob]) -> Manifest | None:
