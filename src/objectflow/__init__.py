@@ -7,6 +7,7 @@ from objectflow.errors import ObjectflowError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.runtime.forks import use_one_thread_after_fork
 
 if TYPE_CHECKING:
     from objectflow.alignment.frame_pair import FramePair
@@ -48,6 +49,8 @@ __all__ = [
     "Zero",
     "load",
 ]
+
+use_one_thread_after_fork()
 
 _LAZY = {
     "DEFAULT_METHOD": ("objectflow.methods.registry", "DEFAULT_METHOD"),

@@ -17,7 +17,6 @@ from objectflow.errors import ObjectflowError, one_line
 EXIT_BAD_INPUT = 2
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
-EXIT_TERMINATED = 143
 DEBUG = "OBJECTFLOW_DEBUG"
 """Environment variable that makes internal errors show their traceback."""
 
@@ -70,8 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for bad input, 1 for other errors, 130 if interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:
-        # Batch systems send SIGTERM first; unfinished folders are then removed, as for Ctrl-C.
-        signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
+        _exit_on_signals()
     try:
         return _dispatch(words)
     except ObjectflowError as error:
@@ -91,6 +89,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if os.environ.get(DEBUG):
             raise
         return _fail(f"internal error: {type(error).__name__}: {error} ({DEBUG}=1 shows the traceback)", EXIT_FAILED)
+
+
+def _exit_on_signals() -> None:
+    """Remove unfinished folders on SIGTERM, which batch systems send first, and on SIGHUP, as on Ctrl-C."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        # nohup starts a command with SIGHUP ignored, which stays so.
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda received, _: sys.exit(128 + received))
 
 
 def _dispatch(words: list[str]) -> int:

@@ -22,6 +22,7 @@ from objectflow.evaluation.score import CachedPairs, score
 from objectflow.evaluation.tables.table_text import print_tables, to_csv, to_json, to_markdown
 from objectflow.evaluation.tables.tables import Tables, make_tables
 from objectflow.storage import files
+from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
   objectflow evaluate --data tiny --methods zero dense-flow consensus oracle-masks oracle-motion
@@ -95,6 +96,7 @@ class Evaluate:
         keys = pairs.keys[: self._limit()]
         out = self.out or OUTPUT_ROOT / _folder_name(self.data, pairs)
         _check_folder(out)
+        sweep(out)
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         with Bar(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

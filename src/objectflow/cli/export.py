@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from objectflow.cli.arguments import option
+from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
   objectflow export --format onnx --weights FILE --out network.onnx
@@ -40,6 +41,7 @@ class Export:
         from objectflow.networks.export import OPSET, export_onnx
         from objectflow.networks.weights import load_network
 
+        sweep(self.out.parent)
         path = find_weights(self.method, self.weights)
         network, metadata = load_network(path)
         height, width = self.size or trained_size(metadata, path)

@@ -20,6 +20,7 @@ from objectflow.live import NewestFrame, Step, follow, replay
 from objectflow.readers import open_source
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
+from objectflow.storage.temporaries import sweep
 from objectflow.tracking.tracker import Tracker, TrackerSettings
 from objectflow.tracking.trajectory_files import write_tracks
 from objectflow.view.viewer_frames import tracked_frames
@@ -68,6 +69,7 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
             raise ReaderError("--speed and --seconds must be above 0, --min-gap at least 0")
         if self.out is not None:
             check_not_below_a_file(self.out)
+            sweep(self.out.parent)
         estimator = self.estimator()
         tracker = Tracker(TrackerSettings(history=2 if self.out is None else HISTORY))
         steps: list[tuple[float, float, int]] = []

@@ -16,6 +16,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.motion.words import motion_texts
 from objectflow.storage import files
+from objectflow.storage.temporaries import sweep, temporary_folder
 
 OUTPUT_ROOT = Path("objectflow_out")
 RESULT_FILES = frozenset({"labels.png", "scene_flow.npy", "objects.json", "overlay.png", "flow.png"})
@@ -37,6 +38,7 @@ def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
     """
     path = _dated_folder() if out is None else out
     check_not_below_a_file(path)
+    sweep(path.parent)
     with files.new_folder(path, replace=_is_result(path)) as temporary:
         yield temporary, path
     if out is None:
@@ -66,13 +68,14 @@ def check_not_below_a_file(path: Path) -> None:
 
 def link_latest(path: Path) -> None:
     """Link `latest` in the parent folder to a result, if the file system supports links."""
-    link = path.parent / "latest"
-    temporary = path.parent / f".latest.{os.getpid()}.tmp"
     with suppress(OSError):
-        temporary.symlink_to(path.name, target_is_directory=True)
-        os.replace(temporary, link)
-    with suppress(OSError):
-        temporary.unlink()
+        temporary = temporary_folder(path.parent)
+        try:
+            link = temporary.path / "latest"
+            link.symlink_to(path.name, target_is_directory=True)
+            os.replace(link, path.parent / link.name)
+        finally:
+            temporary.remove()
 
 
 def print_objects(motion: SceneMotion) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shutil
 import statistics
 import warnings
 from collections.abc import Iterator
@@ -182,8 +181,6 @@ def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
                 )
 
     with locked_folder(out, settings, RUN_FOLDER, check=check):
-        for leftover in out.glob(".pair_*.tmp"):
-            shutil.rmtree(leftover, ignore_errors=True)
         yield
 
 

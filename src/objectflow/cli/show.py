@@ -15,6 +15,7 @@ from objectflow.dataset.show import draw_frames, draw_pair
 from objectflow.errors import DatasetError
 from objectflow.storage import files
 from objectflow.storage.images import encode_png
+from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
   objectflow show data --key train-000012
@@ -54,5 +55,6 @@ class Show:
         if image is None:
             raise DatasetError(f"{self.data}: no row {self.key!r}; there is {known[0]} to {known[-1]}")
         out = self.out or Path(f"{self.key}.png")
+        sweep(out.parent)
         files.write_bytes(out, encode_png(image))
         print(f"written to {out}")

@@ -120,9 +120,6 @@ class MethodCache:
             StorageError: reading or writing failed.
         """
         with locked_folder(self.folder, settings, PREDICTION_FOLDER, check=partial(self._check_same, settings)):
-            for leftover in self.folder.glob(".*.tmp"):
-                with suppress(OSError):
-                    leftover.unlink()
             yield
 
     def check(self, settings: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tokenize
 from collections.abc import Iterator, Mapping
@@ -40,7 +41,10 @@ def write(folder: Path, labels: LabelImage, flow: Float32Array, summary: Mapping
     if labels.max(initial=0) > np.iinfo(np.uint16).max:
         raise ResultError(f"{folder}: labels above 65535 do not fit a 16-bit PNG")
     (folder / "labels.png").write_bytes(encode_png(labels.astype(np.uint16)))
-    np.save(folder / "scene_flow.npy", flow)
+    # np.save writes to a file without the system's own error, such as "No space left on device".
+    buffer = io.BytesIO()
+    np.save(buffer, flow)
+    (folder / "scene_flow.npy").write_bytes(buffer.getbuffer())
     (folder / "objects.json").write_text(json.dumps(summary, indent=2) + "\n")
 
 

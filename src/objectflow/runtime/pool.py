@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import traceback
 from collections.abc import Callable, Iterable, Iterator
@@ -11,6 +12,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Protocol, TypeVar
 
 from objectflow.errors import DatasetError, ObjectflowError
+from objectflow.runtime.parent import end_with_parent
 
 MAX_AHEAD = 4
 """Maximum number of jobs per worker that are started ahead of the next result; bounds memory."""
@@ -58,8 +60,8 @@ class InProcess(Generic[Job, Result]):
 class Processes(Generic[Job, Result]):
     """Worker processes on this machine, each with its own pipe.
 
-    A worker reads the end of its pipe when its parent exits or is killed, and then ends as well. The pools of the
-    standard library share one queue, which the sibling processes keep open, so that orphaned workers wait forever.
+    Workers end when their parent exits or is killed, an idle one at once and a busy one within a second. The pools of
+    the standard library share one queue, which the sibling processes keep open, so that orphaned workers wait forever.
 
     Args:
         factory: builds, inside each worker, the function that runs jobs; picklable.
@@ -71,7 +73,7 @@ class Processes(Generic[Job, Result]):
         self._processes: dict[Connection, multiprocessing.process.BaseProcess] = {}
         for _ in range(workers):
             ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs, factory), daemon=True)
+            process = context.Process(target=_work, args=(theirs, factory, os.getpid()), daemon=True)
             process.start()
             theirs.close()
             self._processes[ours] = process
@@ -153,8 +155,9 @@ def in_order(
             return
 
 
-def _work(connection: Connection, factory: Callable[[], Callable[[Any], Any]]) -> None:
+def _work(connection: Connection, factory: Callable[[], Callable[[Any], Any]], parent: int) -> None:
     """Main loop of a worker process: run jobs until the pipe ends."""
+    end_with_parent(parent)
     # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     function: Callable[[Any], Any] | None = None

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from objectflow.errors import DatasetError, ResultError, StorageError
+from objectflow.storage.temporaries import ASIDE, Temporary, temporary_file, temporary_folder
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -19,19 +18,22 @@ def write_bytes(path: Path, data: bytes) -> None:
     Raises:
         StorageError: writing failed (no space, no permission); no temporary file is left behind.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary: Temporary | None = None
     try:
-        with open(temporary, "wb") as file:
+        temporary = temporary_file(path.parent)
+        with open(temporary.descriptor, "wb", closefd=False) as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(temporary, path)
+        os.replace(temporary.path, path)
+        temporary.release()
         _fsync_folder(path.parent)
     except BaseException as error:
-        with suppress(OSError):
-            temporary.unlink()
-        if isinstance(error, OSError):
-            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.remove()
+        if isinstance(error, (OSError, ValueError)):  # ValueError: a path with a NUL
+            raise _cannot_write(path, error) from error
         raise
 
 
@@ -55,47 +57,65 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     made_parents: list[Path] = []
-    temporary: Path | None = None
+    temporary: Temporary | None = None
     try:
         if path.exists() and not path.is_dir():
             raise ResultError(f"{path} is a file, not a folder: name another output folder")
         if path.is_dir() and not replace and any(path.iterdir()):
             raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
         _make_parents(path.parent, made_parents)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
-        temporary.chmod(0o755)
-        yield temporary
-        for file in temporary.iterdir():
+        temporary = temporary_folder(path.parent)
+        yield temporary.path
+        for file in temporary.path.rglob("*"):
             _fsync_file(file)
-        _swap_in(temporary, path)
+        _swap_in(temporary.path, path)
+        temporary.release()
     except BaseException as error:
         if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
+            with suppress(OSError):
+                temporary.remove()
         for parent in reversed(made_parents):
             with suppress(OSError):
                 parent.rmdir()
         if isinstance(error, OSError):
-            raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+            raise _cannot_write(path, error) from error
         raise
 
 
 def _swap_in(temporary: Path, path: Path) -> None:
     """Rename `temporary` to `path`; an existing folder is kept until the new one is in place."""
-    if path.is_dir() and any(path.iterdir()):
-        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".old", dir=path.parent))
-        try:
-            os.rename(path, old)
-            os.rename(temporary, path)
-        except BaseException:
-            if path.is_dir():
-                old.rmdir()  # still empty: the first rename failed
-            else:
-                os.rename(old, path)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
-    else:
+    if not (path.is_dir() and any(path.iterdir())):
         os.rename(temporary, path)
-    _fsync_folder(path.parent)
+        _fsync_folder(path.parent)
+        return
+    aside = temporary_folder(path.parent, ASIDE)
+    old = aside.path / path.name
+    try:
+        os.rename(path, old)
+        os.rename(temporary, path)
+        _fsync_folder(path.parent)
+    except BaseException:
+        if old.is_dir() and not path.exists():
+            os.rename(old, path)
+        aside.remove()
+        raise
+    aside.remove()
+
+
+def remove_folder(path: Path) -> None:
+    """Remove a folder so that `path` never holds a part of it, even after a kill.
+
+    Raises:
+        StorageError: the folder cannot be removed.
+    """
+    try:
+        temporary = temporary_folder(path.parent)
+        try:
+            os.rename(path, temporary.path / path.name)
+        finally:
+            temporary.remove()
+    except OSError as error:
+        raise StorageError(f"cannot remove {path}: {error.strerror or error}") from error
 
 
 def _make_parents(folder: Path, made: list[Path]) -> None:
@@ -121,6 +141,10 @@ def _fsync_folder(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _cannot_write(path: Path, error: OSError | ValueError) -> StorageError:
+    return StorageError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}")
 
 
 def hash_file(path: Path) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 
 from objectflow.errors import ObjectflowError, StorageError
 from objectflow.storage import files
+from objectflow.storage.temporaries import sweep
 
 SETTINGS = "settings.json"
 
@@ -64,7 +65,8 @@ def locked_folder(
 ) -> Iterator[None]:
     """Create an output folder or continue an earlier one, and hold it for this process.
 
-    The lock ends with the process, however that ends.
+    The lock ends with the process, however that ends. Temporaries that killed processes left in the folder and beside
+    it are removed.
 
     Args:
         path: the folder.
@@ -77,6 +79,7 @@ def locked_folder(
         StorageError: reading or writing failed, here or inside the `with` block.
     """
     try:
+        sweep(path.parent)
         if is_unused(path):
             with files.new_folder(path) as folder:
                 files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
@@ -87,6 +90,7 @@ def locked_folder(
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise kind.error(f"{path}: {kind.busy}: wait, or name another {kind.target}") from None
+            sweep(path)
             yield
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror or error}") from error

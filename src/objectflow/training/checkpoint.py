@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -74,22 +72,13 @@ def save_checkpoint(
         save_weights(folder / WEIGHTS, network, {"step": state.step})
         files.write_bytes(folder / STATE, safetensors.torch.save(tensors, {_KEY: header}))
     for old in checkpoints(root)[:-keep]:
-        # A half-removed folder must not look like a checkpoint.
-        hidden = old.with_name(f".{old.name}.old")
-        os.rename(old, hidden)
-        shutil.rmtree(hidden, ignore_errors=True)
+        files.remove_folder(old)
     return path
 
 
 def checkpoints(root: Path) -> list[Path]:
     """The checkpoints in a folder, by step."""
     return sorted(path for path in root.glob(f"{_PREFIX}*") if path.is_dir())
-
-
-def remove_leftovers(root: Path) -> None:
-    """Remove folders that a killed run left half written or half removed."""
-    for path in root.glob(f".{_PREFIX}*"):
-        shutil.rmtree(path, ignore_errors=True)
 
 
 def load_checkpoint(

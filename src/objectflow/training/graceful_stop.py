@@ -1,4 +1,4 @@
-"""Graceful termination: after the first Ctrl-C or SIGTERM, the step finishes and a checkpoint is written."""
+"""Graceful termination: after the first Ctrl-C, SIGTERM or SIGHUP, the step finishes and a checkpoint is written."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class GracefulStop:
@@ -26,7 +26,9 @@ class GracefulStop:
     def __enter__(self) -> GracefulStop:
         # Python handles signals in the main thread only; a run in another thread is stopped by its caller.
         if threading.current_thread() is threading.main_thread():
-            self._before = {number: signal.signal(number, self._note) for number in _SIGNALS}
+            # nohup starts a run with SIGHUP ignored, which stays so.
+            heard = [number for number in _SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+            self._before = {number: signal.signal(number, self._note) for number in heard}
         return self
 
     def __exit__(

@@ -13,7 +13,8 @@ from objectflow.errors import StorageError, TrainingError
 from objectflow.storage import files
 from objectflow.storage.locked_folder import FolderKind, locked_folder
 from objectflow.storage.serialize import to_plain
-from objectflow.training.checkpoint import checkpoints, remove_leftovers
+from objectflow.storage.temporaries import sweep
+from objectflow.training.checkpoint import checkpoints
 from objectflow.training.recipe import FREE
 
 METRICS, WEIGHTS, CURVE = "metrics.jsonl", "weights.safetensors", "loss_curve.png"
@@ -105,7 +106,7 @@ def opened(path: Path, settings: Mapping[str, Any], *, resume: bool) -> Iterator
 
     with locked_folder(path, settings, TRAINING_FOLDER, check=check):
         (path / CHECKPOINTS).mkdir(exist_ok=True)
-        remove_leftovers(path / CHECKPOINTS)
+        sweep(path / CHECKPOINTS)
         yield RunFolder(path)
 
 

@@ -62,7 +62,7 @@ class RerunViewer:
             url = f"rerun+http://127.0.0.1:{data}/proxy"
             self.address = f"http://127.0.0.1:{page}/?url={quote(url, safe='')}"
         if self._temporary is not None:
-            sinks.append(rr.FileSink(self._temporary))
+            sinks.append(rr.FileSink(self._temporary.path))
         self._stream.set_sinks(*sinks)
         self._stream.send_blueprint(make_layout())
         self._stream.send_recording_name(title)
@@ -80,12 +80,12 @@ class RerunViewer:
             return
         try:
             if kind is None:
-                os.replace(self._temporary, self._save)
+                os.replace(self._temporary.path, self._save)
         except OSError as problem:
             raise StorageError(f"cannot write {self._save}: {problem.strerror}") from problem
         finally:
             with suppress(OSError):
-                self._temporary.unlink()
+                self._temporary.remove()
 
     def show(self, make: Callable[[], Iterable[ViewerFrame]]) -> None:
         """Log every frame whose number has not been logged yet."""

@@ -9,22 +9,24 @@ from contextlib import suppress
 from pathlib import Path
 
 from objectflow.errors import StorageError, ViewerError
+from objectflow.storage.temporaries import Temporary, sweep, temporary_file
 
 
-def temporary_beside(path: Path) -> Path:
+def temporary_beside(path: Path) -> Temporary:
     """Create an empty file beside `path`, so that an unwritable folder is reported before the work starts.
+
+    Temporaries that killed processes left there are removed.
 
     Raises:
         StorageError: `path` is a folder, or its folder cannot be written.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     if path.is_dir():
         raise StorageError(f"cannot write {path}: it is a folder: name a file, such as view.rrd")
+    sweep(path.parent)
     try:
-        temporary.touch()
+        return temporary_file(path.parent)
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror}") from error
-    return temporary
 
 
 def check_display() -> None:

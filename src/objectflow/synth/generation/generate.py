@@ -14,9 +14,10 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import write_shard
 from objectflow.errors import DatasetError, StorageError
 from objectflow.runtime.pool import Pool
+from objectflow.storage.temporaries import sweep
 from objectflow.synth.generation.growth import StoredShard, is_finished, remove_replaced_shards, stored_shards
 from objectflow.synth.generation.jobs import GenerationJob
-from objectflow.synth.generation.set_folder import check_folder, remove_stale_temporaries, write_manifest
+from objectflow.synth.generation.set_folder import check_folder, write_manifest
 from objectflow.synth.generation.tasks import SceneRows, Task
 
 
@@ -79,7 +80,7 @@ def generate(
         mine = [
             (job, number) for job in jobs for number in range(len(job.shards)) if number % shard[1] == shard[0] - 1
         ]
-        remove_stale_temporaries(out, mine)
+        sweep(out)
         _make_shards(out, _plans(out, mine), pool, origin, report)
         made = write_manifest(out, origin, jobs)
         if made is not None:

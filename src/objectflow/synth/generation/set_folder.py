@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from objectflow.dataset import manifest as manifests
 from objectflow.dataset.manifest import Manifest, Part, Shard, current_settings, part_name
 from objectflow.dataset.shards import read_metadata
 from objectflow.errors import DatasetError
@@ -58,37 +55,6 @@ def _difference(name: str, found: Any, ours: Any) -> str:
             if found.get(key) != ours.get(key):
                 return _difference(f"{name}.{key}" if name != "settings" else key, found.get(key), ours.get(key))
     return f"{name} {found!r}, not {ours!r}"
-
-
-def remove_stale_temporaries(out: Path, mine: Sequence[tuple[GenerationJob, int]]) -> None:
-    """Remove temporary files that killed runs left; those of running processes stay.
-
-    Args:
-        out: the folder.
-        mine: jobs and numbers of the shards whose temporary files are removed, of any count; those of the manifest are
-            removed too.
-    """
-    numbers = {(job.part, number) for job, number in mine}
-    for path in out.glob(".*.tmp"):
-        match = re.fullmatch(r"\.(.+)\.(\d+)\.tmp", path.name)
-        if match is None or _is_other_process(int(match[2])):
-            continue
-        shard = parse_shard_name(match[1])
-        if match[1] == manifests.FILE or (shard is not None and shard[:2] in numbers):
-            path.unlink(missing_ok=True)
-
-
-def _is_other_process(process: int) -> bool:
-    """Whether another running process has this id."""
-    if process == os.getpid():
-        return False
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
 
 
 def write_manifest(out: Path, origin: Mapping[str, Any], jobs: Sequence[GenerationJob]) -> Manifest | None:

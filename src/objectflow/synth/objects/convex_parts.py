@@ -1,7 +1,8 @@
 """Convex parts of a mesh by CoACD (Wei et al. 2022), in a child process.
 
 The solver prints, leaves threads running and may abort on irregular meshes; a child process isolates the caller.
-Run as `python -m objectflow.synth.objects.convex_parts IN.npz OUT.npz MODE`; the library calls `decompose`.
+Run as `python -m objectflow.synth.objects.convex_parts MODE PARENT`, with the mesh on its standard input and the parts
+on its standard output, so that a kill leaves no file; the library calls `decompose`.
 """
 
 from __future__ import annotations
@@ -11,16 +12,15 @@ import io
 import os
 import subprocess
 import sys
-import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from objectflow.errors import DatasetError, MissingExtraError
+from objectflow.runtime.parent import end_with_parent
 from objectflow.typing import Float64Array, LabelImage
 
 MAX_PARTS = 24
@@ -76,20 +76,21 @@ def run_solver(vertices: Float64Array, faces: LabelImage, preprocess: str) -> tu
         vertices, faces: see `decompose`.
         preprocess: whether CoACD closes the mesh first: "auto" or "on".
     """
-    with tempfile.TemporaryDirectory(prefix="objectflow-") as folder:
-        given, taken = Path(folder) / "mesh.npz", Path(folder) / "parts.npz"
-        np.savez(given, vertices=vertices, faces=faces)
-        command = [sys.executable, "-m", "objectflow.synth.objects.convex_parts", str(given), str(taken), preprocess]
-        # One thread gives the same parts on every machine, and parallel workers do not compete for cores.
-        environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-        try:
-            done = subprocess.run(command, capture_output=True, timeout=TIME_LIMIT, env=environment, check=False)
-        except subprocess.TimeoutExpired:
-            return ()
-        if done.returncode != 0 or not taken.is_file():
-            return ()
-        with np.load(taken) as data:
-            return unpack(data)
+    mesh = io.BytesIO()
+    np.savez(mesh, vertices=vertices, faces=faces)
+    command = [sys.executable, "-m", "objectflow.synth.objects.convex_parts", preprocess, str(os.getpid())]
+    # One thread gives the same parts on every machine, and parallel workers do not compete for cores.
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(
+            command, input=mesh.getvalue(), capture_output=True, timeout=TIME_LIMIT, env=environment, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return ()
+    if done.returncode != 0 or not done.stdout:
+        return ()
+    with np.load(io.BytesIO(done.stdout)) as data:
+        return unpack(data)
 
 
 def hull_corners(points: Float64Array) -> Float64Array | None:
@@ -113,11 +114,15 @@ def unpack(data: Mapping[str, Float64Array]) -> tuple[Float64Array, ...]:
     return tuple(data[name] for name in sorted(data) if name.startswith("part"))
 
 
-def _main(given: str, taken: str, preprocess: str) -> None:
+def _main(preprocess: str, parent: str) -> None:
+    end_with_parent(int(parent))
+    # What the solver prints must not mix with the parts.
+    output = os.dup(1)
+    os.dup2(2, 1)
     import coacd
 
     coacd.set_log_level("error")
-    with np.load(given) as data:
+    with np.load(io.BytesIO(sys.stdin.buffer.read())) as data:
         vertices, faces = data["vertices"], data["faces"]
     welded, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
@@ -128,7 +133,8 @@ def _main(given: str, taken: str, preprocess: str) -> None:
     ]
     if not parts:
         raise SystemExit(3)
-    Path(taken).write_bytes(pack(parts))
+    with open(output, "wb") as file:
+        file.write(pack(parts))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ import numpy as np
 from objectflow.errors import DatasetError, StorageError
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.storage.files import write_bytes, write_text
+from objectflow.storage.temporaries import sweep
 from objectflow.synth.objects.convex_parts import decompose, pack, unpack
 from objectflow.synth.objects.library import SPLIT_SIZES, check_split
 from objectflow.synth.objects.mesh_files import SUFFIXES, read_mesh
@@ -98,6 +99,7 @@ class MeshLibrary:
             self.cache.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise StorageError(f"cannot make the mesh cache {self.cache}: {error.strerror}") from error
+        sweep(self.cache)
         files = _mesh_files(self.folder)
         if not files:
             raise DatasetError(
