@@ -1,10 +1,45 @@
 """The exceptions of the library; each message states what was wrong, where, and what to do."""
 
+from __future__ import annotations
+
+MAX_MESSAGE = 500
+"""Maximum length of a message, in characters."""
+
+_HEAD = 330
+"""Number of characters that are kept from the start of a longer message."""
+
+_GAP = " ... "
+"""Text in place of the characters that are left out."""
+
 
 class ObjectflowError(Exception):
-    """Base class of all errors of objectflow. The CLI prints the message as one line and exits with code 2."""
+    """Base class of all errors of objectflow. The CLI prints the message as one line and exits with code 2.
+
+    Args:
+        message: reduced to one printable line by `one_line`.
+    """
 
     exit_code = 2
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(one_line(str(message)))
+
+
+def one_line(text: str) -> str:
+    """Reduce a text to one printable line of at most `MAX_MESSAGE` characters.
+
+    Runs of white space become one space and other unprintable characters their escape sequences. The middle of a
+    longer text is left out, because a message ends with what to do.
+    """
+    # A quoted value may have megabytes; the bounds below exceed what is kept of it.
+    if len(text) > 4 * MAX_MESSAGE:
+        text = text[: 2 * MAX_MESSAGE] + _GAP + text[-2 * MAX_MESSAGE :]
+    line = " ".join(text.split())
+    if not line.isprintable():
+        line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+    if len(line) > MAX_MESSAGE:
+        line = line[:_HEAD].rstrip() + _GAP + line[_HEAD + len(_GAP) - MAX_MESSAGE :].lstrip()
+    return line
 
 
 class CameraError(ObjectflowError):

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from objectflow.errors import ObjectflowError
+from objectflow.errors import ObjectflowError, one_line
 
 EXIT_BAD_INPUT = 2
 EXIT_FAILED = 1
@@ -151,5 +151,5 @@ def _overview() -> str:
 
 def _fail(message: str, code: int) -> int:
     """Print a message as one line on stderr, without line breaks, and return the exit code."""
-    print(f"objectflow: {' '.join(message.split())}", file=sys.stderr)
+    print(f"objectflow: {one_line(message)}", file=sys.stderr)
     return code
