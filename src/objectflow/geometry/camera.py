@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from objectflow.errors import CameraError, FrameError, ReaderError
 from objectflow.typing import Float64Array
 
-
 MAX_OFFSET = 20.0
 """Largest distance of the principal point from the origin, in image sizes."""
 

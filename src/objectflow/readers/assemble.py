@@ -134,8 +134,8 @@ def _resized_note(color_size: tuple[int, int], depth_size: tuple[int, int], imag
             f"{image}: colour is {width}x{height}, depth {w}x{h}: register the depth to the colour image"
         )
     return (
-        f"depth is {w}x{h}, colour {width}x{height}: depth is brought to the pixels of colour, as if both had the same "
-        "field of view"
+        f"depth is {w}x{h}, colour {width}x{height}: depth is brought to the pixels of colour; both "
+        "are taken to have the same field of view"
     )
 
 

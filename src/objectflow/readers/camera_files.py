@@ -133,7 +133,9 @@ def _mapping(values: Any, path: Path) -> dict[str, Any]:
 
 def _from_numbers(values: list[float], where: str) -> tuple[float, float, float, float]:
     if len(values) == 4:
-        fx, fy, cx, cy = (number(value, name, where) for value, name in zip(values, "fx fy cx cy".split(), strict=True))
+        fx, fy, cx, cy = (
+            number(value, name, where) for value, name in zip(values, ["fx", "fy", "cx", "cy"], strict=True)
+        )
         return fx, fy, cx, cy
     if len(values) in (9, 12, 16):
         return from_matrix(values, where)

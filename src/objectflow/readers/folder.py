@@ -6,8 +6,8 @@ A colour and a depth image with the same number make a frame. Two layouts are su
 - one folder, with `color` (or `colour`, `rgb`) and `depth` in the file names: `color_0001.png depth_0001.png`,
   `0001_rgb.jpg 0001_depth.png`, `frame-000001.color.png frame-000001.depth.png`, ...
 
-See `image_numbers` for the number of a file name. Names that are time stamps give the frames their times; if colour and
-depth have different stamps, they are paired by time.
+See `image_numbers` for the number of a file name. Names that are time stamps give the frames their times; if colour
+and depth have different stamps, they are paired by time.
 """
 
 from __future__ import annotations
@@ -76,13 +76,15 @@ def open_images(
         frames = _pair_by_time(color, depth, (options and options.max_lag) or MAX_TIME_DIFFERENCE)
         if len(frames) >= 2:
             return assemble(folder, frames, options, layout, notes=_left_out(color, depth, frames))
-    alone = [number for number in sorted(color.keys() ^ depth.keys())]
+    alone = sorted(color.keys() ^ depth.keys())
     if alone and len(shared) < 2:
         number = alone[0]
         path, other = (color[number], "depth") if number in color else (depth[number], "colour")
         raise ReaderError(f"{path}: no {other} image with number {' '.join(map(str, number))}")
     times = _times(sorted(shared))
-    frames = [FramePaths(color[number], depth[number], time) for number, time in zip(sorted(shared), times, strict=True)]
+    frames = [
+        FramePaths(color[number], depth[number], time) for number, time in zip(sorted(shared), times, strict=True)
+    ]
     return assemble(folder, frames, options, layout, notes=_left_out(color, depth, frames))
 
 
@@ -97,14 +99,19 @@ def find_images(folder: Path) -> Images:
         next((folders[name] for name in names if name in folders), None) for names in (COLOR_FOLDERS, DEPTH_FOLDERS)
     )
     if color_folder is not None and depth_folder is not None:
-        return Images(_list_images(color_folder), _list_images(depth_folder))
+        return Images(list_images(color_folder), list_images(depth_folder))
     images = [path for path in children if is_image(path)]
     depth = [path for path in images if _DEPTH_WORD.search(path.stem)]
     color = [path for path in images if _COLOR_WORD.search(path.stem) and not _DEPTH_WORD.search(path.stem)]
     return Images(color, depth)
 
 
-def _list_images(folder: Path) -> list[Path]:
+def list_images(folder: Path) -> list[Path]:
+    """The images of a folder, sorted by name.
+
+    Raises:
+        ReaderError: the folder cannot be read.
+    """
     try:
         return sorted(path for path in folder.iterdir() if is_image(path))
     except OSError as error:

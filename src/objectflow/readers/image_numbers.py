@@ -37,12 +37,12 @@ def number_images(color: Sequence[Path], depth: Sequence[Path]) -> tuple[dict[Nu
     # None stands for all numbers together; the last number comes first.
     for choice in (*range(-1, -length - 1, -1), None):
         try:
-            found = _by_number(groups[0], choice), _by_number(groups[1], choice)
+            numbered = _by_number(groups[0], choice), _by_number(groups[1], choice)
         except ReaderError as reason:
             error = error or reason
             continue
-        if best is None or _shared(found) > _shared(best):
-            best = found
+        if best is None or _shared(numbered) > _shared(best):
+            best = numbered
     if best is None:
         if error is not None:
             raise error

@@ -128,7 +128,9 @@ class CameraOptions:
         return CameraSetup(camera, scale, self.depth_scale or 1.0, values, values.note if values else "")
 
     def _is_named(self) -> bool:
-        return str(self.camera_file) in NAMED_CAMERAS and self.camera_file is not None and not self.camera_file.exists()
+        return (
+            str(self.camera_file) in NAMED_CAMERAS and self.camera_file is not None and not self.camera_file.exists()
+        )
 
     def _read_file(self, folder: Path, default: CameraValues | None) -> tuple[str, CameraValues]:
         path = self.camera_file or find_camera_file(folder)

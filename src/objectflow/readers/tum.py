@@ -136,7 +136,9 @@ def _open_associations(folder: Path, options: CameraOptions | None) -> FrameSequ
     # ICL-NUIM names depth first, ORB-SLAM colour.
     depth_first = "depth" in first[0].name.lower() and "depth" not in second[0].name.lower()
     color, depth = (second, first) if depth_first else (first, second)
-    note = f"{path.name}: {TUM_DEPTH_SCALE:g} depth units per metre, as in TUM directories (--depth-scale overrides it)"
+    note = (
+        f"{path.name}: {TUM_DEPTH_SCALE:g} depth units per metre, as in TUM directories (--depth-scale overrides it)"
+    )
     stamps = [entry.stamp for entry in color]
     if _are_numbers(stamps):
         frames = [FramePaths(_inside(folder, a), _inside(folder, b)) for a, b in zip(color, depth, strict=True)]
@@ -160,7 +162,7 @@ def _find_associations(folder: Path) -> Path | None:
 
 def _read_lines(path: Path, count: int, form: str) -> list[tuple[list[str], str]]:
     """The first `count` fields of each line, and where the line is."""
-    lines = []
+    lines: list[tuple[list[str], str]] = []
     for number, line in enumerate(_read_text(path).splitlines(), start=1):
         words = line.split("#", 1)[0].replace(",", " ").replace(";", " ").split()
         where = f"{path}, line {number}"

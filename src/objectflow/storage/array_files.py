@@ -71,12 +71,15 @@ def decode_npz(data: bytes, path: Path, names: tuple[str, ...]) -> NDArray[Any]:
     Raises:
         ReaderError: broken data, several arrays without such a name, or an array that is not an image of numbers.
     """
-    with foreign_errors(ReaderError, f"{path}: not an NPZ file that can be read"):
-        with zipfile.ZipFile(io.BytesIO(data)) as archive, archive.open(_member(archive, path, names)) as member:
-            # The header bounds the size of the array; a longer member is not read beyond it.
-            width, height = npy_size(member, path)
-            member.seek(0)
-            return decode_npy(member.read(width * height * MAX_CHANNELS * 8 + MAX_HEADER_BYTES), path)
+    with (
+        foreign_errors(ReaderError, f"{path}: not an NPZ file that can be read"),
+        zipfile.ZipFile(io.BytesIO(data)) as archive,
+        archive.open(_member(archive, path, names)) as member,
+    ):
+        # The header bounds the size of the array; a longer member is not read beyond it.
+        width, height = npy_size(member, path)
+        member.seek(0)
+        return decode_npy(member.read(width * height * MAX_CHANNELS * 8 + MAX_HEADER_BYTES), path)
 
 
 def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -61,7 +61,7 @@ def read_size(path: Path) -> tuple[int, int]:
             size = exr_files.exr_size(path)
         else:
             size = coded_images.coded_size(file, path)
-    _check_pixels(size, path)
+    check_pixels(size, path)
     return size
 
 
@@ -127,8 +127,9 @@ def to_metres(
         if floating:
             missing |= np.isinf(depth)
         # Wide types are scaled before the cast, because large integers and doubles may not fit float32.
+        scale = np.float32(float_depth_scale if floating else depth_scale)
         wide = depth.astype(np.float64 if depth.dtype.itemsize > 4 else np.float32)
-        metres = (wide / wide.dtype.type(float_depth_scale if floating else depth_scale)).astype(np.float32)
+        metres: Float32Array = (wide / scale).astype(np.float32)
     metres[missing] = 0
     if max_depth is not None:
         metres[metres > max_depth] = 0
@@ -149,16 +150,16 @@ def read_image(path: Path, *, names: tuple[str, ...] = ()) -> NDArray[Any]:
         data = file.read()
     if array_files.is_npy(data):
         size = array_files.npy_size(io.BytesIO(data), path)
-        _check_pixels(size, path)
+        check_pixels(size, path)
         return array_files.decode_npy(data, path)
     if array_files.is_npz(data):
-        _check_pixels(array_files.npz_size(io.BytesIO(data), path, names), path)
+        check_pixels(array_files.npz_size(io.BytesIO(data), path, names), path)
         return array_files.decode_npz(data, path, names)
     if exr_files.is_exr(data):
-        _check_pixels(exr_files.exr_size(path), path)
+        check_pixels(exr_files.exr_size(path), path)
         return exr_files.read_exr(path)
     coded_images.check_complete(data, path)
-    _check_pixels(coded_images.coded_size(io.BytesIO(data), path), path)
+    check_pixels(coded_images.coded_size(io.BytesIO(data), path), path)
     return coded_images.decode(data, path)
 
 
@@ -181,7 +182,16 @@ def _open(path: Path) -> io.BufferedReader:
         raise ReaderError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _check_pixels(size: tuple[int, int], path: Path) -> None:
+def check_pixels(size: tuple[int, int], path: Path) -> None:
+    """Check the size of an image before it is decoded.
+
+    Args:
+        size: (width, height) in pixels.
+        path: of the image, for messages.
+
+    Raises:
+        ReaderError: the image has no pixels or more than `MAX_PIXELS`.
+    """
     width, height = size
     if width < 1 or height < 1:
         raise ReaderError(f"{path}: an image of {width}x{height} pixels has no content")

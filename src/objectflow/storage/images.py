@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError, ResultError
 
+
 def decode_png(data: bytes, name: str) -> NDArray[Any]:
     """Decode the PNG bytes of a data set: (H, W) or (H, W, 3) RGB, uint8 or uint16.
 
