@@ -9,14 +9,16 @@ from typing import IO, Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, TiffImagePlugin, UnidentifiedImageError
 
 from objectflow.errors import ReaderError
 from objectflow.storage.foreign import foreign_errors
 
 PNG_START = b"\x89PNG\r\n\x1a\n"
-_HEADERS = ("PNG", "JPEG", "MPO", "TIFF", "WEBP", "BMP", "PPM")
+_HEADERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 """Formats whose header is read, by their names in Pillow."""
+_TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""First bytes of a TIFF and of a BigTIFF, of both byte orders."""
 
 
 def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
@@ -26,6 +28,9 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
         ReaderError: no header of a known format.
     """
     with foreign_errors(ReaderError, f"{path}: not an image that can be decoded"):
+        if file.read(4) in _TIFF_STARTS:
+            return _tiff_size(file)
+        file.seek(0)
         try:
             with Image.open(file, formats=_HEADERS) as image:
                 return image.size
@@ -36,6 +41,16 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
                 f"{path}: not an image that can be decoded (PNG, JPEG, TIFF, EXR, NPY, NPZ, PGM, PPM, PFM, WebP or "
                 "BMP expected)"
             ) from None
+
+
+def _tiff_size(file: IO[bytes]) -> tuple[int, int]:
+    """The (width, height) of a TIFF; `Image.open` refuses pixel types that OpenCV decodes, such as float64."""
+    file.seek(0)
+    header = file.read(8)
+    directory = TiffImagePlugin.ImageFileDirectory_v2(header + (file.read(8) if header[2:3] == b"+" else b""))
+    file.seek(directory.next)
+    directory.load(file)
+    return int(directory[TiffImagePlugin.IMAGEWIDTH]), int(directory[TiffImagePlugin.IMAGELENGTH])
 
 
 def check_complete(data: bytes, path: Path) -> None:
