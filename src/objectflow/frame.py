@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from objectflow.errors import FrameError
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.geometry.resample import resize_color, resize_nearest
-from objectflow.storage.images import read_color, read_depth
+from objectflow.storage.image_files import read_color, read_depth, to_metres
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 MAX_MEDIAN_DEPTH = 50.0
@@ -99,18 +99,31 @@ class RgbdFrame:
         *,
         camera: Camera,
         depth_scale: float = 1000.0,
+        float_depth_scale: float = 1.0,
+        max_depth: float | None = None,
         timestamp: float | None = None,
     ) -> RgbdFrame:
-        """Read a colour image (PNG, JPEG, ...) and a 16-bit depth PNG; metres = value / `depth_scale`.
+        """Read a colour and a depth image of any format of `objectflow.storage.image_files`.
+
+        Args:
+            color: an image of 8 or 16 bits per channel.
+            depth: an image of integers, or of floating-point numbers.
+            camera: the camera of both images.
+            depth_scale: units per metre of integer depth.
+            float_depth_scale: units per metre of floating-point depth.
+            max_depth: depth beyond it is missing, metres.
+            timestamp: seconds; None where there is none.
 
         Raises:
             ReaderError: a file is missing, broken or of the wrong kind.
             FrameError: the images do not form a valid frame.
         """
-        check_depth_scale(depth_scale)
+        for scale in (depth_scale, float_depth_scale):
+            check_depth_scale(scale)
         color_image, depth_image = read_color(Path(color)), read_depth(Path(depth))
-        with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which the constructor reports
-            metres = depth_image.astype(np.float32) / np.float32(depth_scale)
+        metres = to_metres(
+            depth_image, depth_scale=depth_scale, float_depth_scale=float_depth_scale, max_depth=max_depth
+        )
         return cls(color=color_image, depth=metres, camera=camera, timestamp=timestamp, name=str(depth))
 
     @property

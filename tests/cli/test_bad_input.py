@@ -98,7 +98,7 @@ BAD_PAIRS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
     "unknown method": (camera(), ["--method", "best"], "choose one of"),
     "unknown camera": (camera(), ["--camera", "sideways"], "auto"),
     "three intrinsics": (camera(), ["--intrinsics", "1", "2", "3"], "--intrinsics"),
-    "intrinsics of another size": (camera(), ["--intrinsics", "900", "900", "800", "400"], "principal point"),
+    "intrinsics of another size": (camera(), ["--intrinsics", "900", "900", "80000", "400"], "principal point"),
     "unknown option": (camera(), ["--bogus"], "--bogus"),
 }
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import shutil
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -120,11 +122,48 @@ def test_an_interrupt_exits_with_130_and_keeps_finished_pairs(
     assert len(names(out)) == 8
 
 
-def test_a_bad_first_frame_leaves_no_files(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (sequence / "depth" / "1.png").write_text("no picture")
+def test_a_sequence_without_a_readable_pair_leaves_no_files(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for index in range(4):
+        (sequence / "depth" / f"{index}.png").write_text("no picture")
     assert main(["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "out")]) == 2
-    assert "1.png" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "0.png" in error
+    assert error.count("\n") == 1
     assert names(tmp_path) == {"sequence"}
+
+
+@pytest.mark.parametrize("bad", [0, 1, 2, 4])
+def test_a_bad_frame_is_left_out_and_named(
+    sequence: Path, tmp_path: Path, bad: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (sequence / "depth" / f"{bad}.png").write_text("no picture")
+    out = tmp_path / "out"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    assert main(command) == 0
+    left = [index for index in range(5) if index != bad]
+    pairs = {f"pair_{i:06d}_{j:06d}" for i, j in itertools.pairwise(left)}
+    assert {name for name in names(out) if name.startswith("pair")} == pairs
+    first = capsys.readouterr().out
+    assert f"frame {bad} left out" in first
+    assert f"{bad}.png" in (out / "notes.txt").read_text()
+    # A continued run leaves out the same frame, and keeps the same pairs.
+    assert main(command) == 0
+    again = capsys.readouterr().out
+    assert "3 of them done before" in again
+    assert f"frame {bad} left out" in again
+
+
+def test_no_pair_crosses_a_cut(sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from objectflow.cli import run as module
+
+    opened = module.open_source
+    monkeypatch.setattr(module, "open_source", lambda *args, **kw: replace(opened(*args, **kw), cuts=(2,)))
+    out = tmp_path / "out"
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
+    pairs = {name for name in names(out) if name.startswith("pair")}
+    assert pairs == {"pair_000000_000001", "pair_000002_000003", "pair_000003_000004"}
 
 
 def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

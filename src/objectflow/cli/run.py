@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import statistics
 import warnings
 from collections.abc import Iterator
@@ -23,8 +22,8 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
-from objectflow.errors import ReaderError, ResultError
-from objectflow.frame import check_pair
+from objectflow.cli.run_pairs import ReadablePairs, select_frames
+from objectflow.errors import FrameError, ReaderError, ResultError
 from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource, open_source
@@ -48,6 +47,10 @@ EXAMPLES = """\
 SUMMARY = "summary.csv"
 MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
+NOTES = "notes.txt"
+"""File of the notes on the source and of the frames that were left out; absent if there are none."""
+MAX_LEFT_OUT_LINES = 5
+"""Maximum number of frames left out that are printed, one line each."""
 RUN_FOLDER = FolderKind(
     error=ResultError,
     content="a run",
@@ -63,7 +66,7 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
     (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png), or a ROS 1 bag, a ROS 2 bag or an MCAP file.
-    Finished pairs are skipped.
+    Finished pairs are skipped. Frames that cannot be read are left out and named at the end.
     """
 
     source: Annotated[Positional[Path], option("SOURCE")]
@@ -78,40 +81,50 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
     def run(self) -> None:
         """Read, estimate and write, pair by pair."""
         estimator = self.estimator()
+        out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with silence_stderr(), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", CutOffWarning)
             sequence = self._open()
-            pairs = self._pairs(sequence)
-            # The first pair is checked before the output folder is created.
-            check_pair(*(sequence[index] for index in pairs[0]))
-        for warning in caught:
-            print(f"note: {warning.message}")
-        out = self.out or OUTPUT_ROOT / self.source.resolve().name
+            parts = self._select(sequence)
+            pairs = ReadablePairs(sequence, parts, is_done=lambda prev, curr: (out / _name((prev, curr))).is_dir())
+            ahead = iter(pairs)
+            # The first pair is read before the output folder is created.
+            first = next(ahead, None)
+        if first is None:
+            raise next(iter(pairs.left_out.values()), None) or ReaderError(f"{self.source}: no pair of frames")
+        notes = [*(str(warning.message) for warning in caught), *sequence.notes]
+        for note in notes:
+            print(f"note: {note}")
         with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
             if self.out is None:
                 link_latest(out)
-            todo = [pair for pair in pairs if not (out / _name(pair)).is_dir()]
+            finished: list[tuple[int, int]] = []
+            skipped = 0
             console = Console(stderr=True)
             with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-                task = progress.add_task("pairs", total=len(pairs), completed=len(pairs) - len(todo))
+                task = progress.add_task("pairs", total=sum(len(part) - 1 for part in parts if part))
                 last: tuple[int, PreparedFrame] | None = None
                 shown = RunFrames(sequence)
-                for prev_index, curr_index in pairs:
+                for prev_index, curr_index in itertools.chain([first], ahead):
                     result = out / _name((prev_index, curr_index))
-                    if not result.is_dir():
+                    if result.is_dir():
+                        skipped += 1
+                    else:
                         with silence_stderr():
+                            curr = pairs.read(curr_index)
                             prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
-                            curr = sequence[curr_index]
                         # Reuse what the last pair computed on its current frame.
                         pair = FramePair(prev, curr)
                         with files.new_folder(result) as folder:
                             write_result(folder, curr, estimate_pair(estimator, pair))
                         last = (curr_index, pair.curr)
-                        progress.advance(task)
+                    finished.append((prev_index, curr_index))
+                    progress.advance(task)
                     viewer.show(partial(shown.read, result, prev_index, curr_index))
             with silence_stderr():
-                count = _track(out, pairs, sequence)
-            _summarise(out, pairs, skipped=len(pairs) - len(todo))
+                count = _track(out, finished, sequence)
+            _summarise(out, finished, skipped=skipped)
+            _report(out, notes, pairs.left_out)
             if count:
                 print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
         print(f"written to {out}")
@@ -121,32 +134,21 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
             self.source, self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic
         )
 
-    def _pairs(self, sequence: FrameSource) -> list[tuple[int, int]]:
-        """Pairs of consecutive selected frames."""
+    def _select(self, sequence: FrameSource) -> list[list[int]]:
+        """The selected frames of each part of the sequence."""
         if self.every < 1 or (self.dt is not None and not self.dt > 0):
             raise ReaderError("--every must be at least 1 and --dt above 0")
         if self.dt is not None and self.every > 1:
             raise ReaderError("both --every and --dt are given: leave one out")
-        indices = list(range(0, len(sequence), self.every)) if self.dt is None else self._by_time(sequence, self.dt)
-        if len(indices) < 2:
+        if self.dt is not None and any(sequence.timestamp(index) is None for index in range(len(sequence))):
+            raise ReaderError(f"{self.source} has no times: use --every instead of --dt")
+        parts = select_frames(sequence, self.every, self.dt)
+        if all(len(part) < 2 for part in parts):
             taken = f"every {self.every} taken" if self.dt is None else f"one every {self.dt:g} s taken"
             raise ReaderError(
                 f"{self.source}: {len(sequence)} frame{'s' * (len(sequence) != 1)}, {taken}: a pair needs two"
             )
-        return list(itertools.pairwise(indices))
-
-    def _by_time(self, sequence: FrameSource, dt: float) -> list[int]:
-        """The first frame, and every frame at least `dt` seconds after the last selected one."""
-        taken, last = [], -math.inf
-        for index in range(len(sequence)):
-            time = sequence.timestamp(index)
-            if time is None:
-                raise ReaderError(f"{self.source} has no times: use --every instead of --dt")
-            # Half a millisecond of tolerance for the jitter of timestamps.
-            if time >= last + dt - 0.0005:
-                taken.append(index)
-                last = time
-        return taken
+        return parts
 
     def _settings(self, sequence: FrameSource, estimator: Estimator) -> dict[str, Any]:
         """Everything that the results depend on."""
@@ -195,7 +197,11 @@ def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> in
     """
     tracker = Tracker()
     times = {index: sequence.timestamp(index) for pair in pairs for index in pair}
+    last: int | None = None
     for prev_index, curr_index in pairs:
+        if last is not None and prev_index != last:
+            tracker.reset()
+        last = curr_index
         # Frame numbers serve as times where the source has none.
         prev_time, time = (
             float(index) if None in times.values() else float(times[index] or 0) for index in (prev_index, curr_index)
@@ -226,6 +232,18 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     seconds = statistics.median(float(row[6]) for row in rows)
     again = f", {skipped} of them done before" if skipped else ""
     console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
+
+
+def _report(out: Path, notes: list[str], left_out: dict[int, ReaderError | FrameError]) -> None:
+    """Print the frames that were left out, and write them with the notes on the source to `notes.txt`, if any."""
+    lines = [f"frame {index} left out: {' '.join(str(error).split())}" for index, error in left_out.items()]
+    if notes or lines:
+        files.write_text(out / NOTES, "\n".join([*notes, *lines]) + "\n")
+    if lines:
+        print(f"{len(lines)} frame{'s' * (len(lines) != 1)} left out, which could not be used:")
+        print("\n".join(f"  {line}" for line in lines[:MAX_LEFT_OUT_LINES]))
+        if len(lines) > MAX_LEFT_OUT_LINES:
+            print(f"  ({len(lines) - MAX_LEFT_OUT_LINES} more in {out / NOTES})")
 
 
 def _row(pair: tuple[int, int], motion: SceneMotion) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,9 @@ from numpy.typing import ArrayLike
 from objectflow.errors import CameraError, FrameError, ReaderError
 from objectflow.typing import Float64Array
 
+MAX_OFFSET = 20.0
+"""Largest distance of the principal point from the origin, in image sizes."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -23,10 +27,10 @@ class Camera:
     Attributes:
         width, height: image size in pixels.
         fx, fy: focal lengths in pixels.
-        cx, cy: principal point in pixels.
+        cx, cy: principal point in pixels; it may lie outside the image, as in a crop.
 
     Raises:
-        CameraError: a value that is not finite or positive, or a principal point outside the image.
+        CameraError: a value that is not finite or positive, or that does not fit the image size.
     """
 
     width: int
@@ -40,17 +44,18 @@ class Camera:
         for name in ("width", "height", "fx", "fy", "cx", "cy"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-                raise CameraError(f"camera {name} must be a number, not {value!r}")
+                raise CameraError(f"camera {name} must be a number, not {reprlib.repr(value)}")
             if not _is_finite(value):
                 raise CameraError(f"camera {name} must be a finite number of common size")
         if int(self.width) != self.width or int(self.height) != self.height or min(self.width, self.height) < 1:
             raise CameraError(f"camera size must be whole and positive, not {self.width}x{self.height}")
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
-        if not (-0.5 <= self.cx <= self.width - 0.5 and -0.5 <= self.cy <= self.height - 0.5):
+        # A crop need not contain the principal point of its camera.
+        if abs(self.cx) > MAX_OFFSET * self.width or abs(self.cy) > MAX_OFFSET * self.height:
             raise CameraError(
-                f"the principal point ({self.cx:g}, {self.cy:g}) lies outside the {self.width}x{self.height} image: "
-                "are these the intrinsics of another resolution?"
+                f"the principal point ({self.cx:g}, {self.cy:g}) lies far outside the {self.width}x{self.height} "
+                "image: are these the intrinsics of another resolution?"
             )
         if not 0.1 <= self.fx / self.width <= 20 or not 0.1 <= self.fy / self.height <= 20:
             raise CameraError(
@@ -100,7 +105,6 @@ class Camera:
             height=height,
             fx=self.fx * sx,
             fy=self.fy * sy,
-            # Multiplication comes first: a quotient rounded up would move a principal point on the border outside.
             cx=(self.cx + 0.5) * width / self.width - 0.5,
             cy=(self.cy + 0.5) * height / self.height - 0.5,
         )
@@ -109,7 +113,7 @@ class Camera:
         """The camera of the crop whose top-left pixel is (x, y).
 
         Raises:
-            CameraError: the crop leaves the image or does not contain the principal point.
+            CameraError: the crop leaves the image.
         """
         if x < 0 or y < 0 or x + width > self.width or y + height > self.height:
             raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
@@ -167,7 +171,7 @@ def check_depth_scale(scale: object, *, where: str = "") -> None:
         FrameError: an invalid scale; the message starts with `where`.
     """
     if isinstance(scale, bool) or not isinstance(scale, (int, float, np.integer, np.floating)):
-        raise FrameError(f"{where}depth_scale must be a number of depth units per metre, not {scale!r}")
+        raise FrameError(f"{where}depth_scale must be a number of depth units per metre, not {reprlib.repr(scale)}")
     if not _is_finite(scale) or scale <= 0:
         raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units per metre")
 

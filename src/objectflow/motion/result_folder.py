@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from objectflow.errors import ReaderError, ResultError
-from objectflow.storage.images import encode_png, read_image
+from objectflow.storage.image_files import read_image
+from objectflow.storage.images import encode_png
 from objectflow.typing import Float32Array, LabelImage
 
 # Errors that the parsers of JSON and .npy raise for broken files: unbounded numbers, unclosed brackets, headers that

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from objectflow.errors import ReaderError
+from objectflow.readers.azure_kinect import is_azure_kinect, open_azure_kinect
+from objectflow.readers.bop import is_bop, open_bop
 from objectflow.readers.folder import open_folder
+from objectflow.readers.known_scenes import is_replica, is_seven_scenes, open_replica, open_seven_scenes
+from objectflow.readers.kubric import is_kubric, open_kubric
 from objectflow.readers.options import NAMED_CAMERAS, CameraOptions
 from objectflow.readers.pair import is_pair, open_files, open_pair
+from objectflow.readers.record3d import is_record3d, open_record3d
+from objectflow.readers.scannet import is_scannet, open_scannet
 from objectflow.readers.sequence import CutOffWarning, FramePaths, FrameSequence, FrameSource
 from objectflow.readers.tum import is_tum, open_tum
 
@@ -26,6 +33,22 @@ __all__ = [
 ]
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+FILE_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path, CameraOptions | None], FrameSource]], ...] = (
+    (is_record3d, open_record3d),
+    (is_azure_kinect, open_azure_kinect),
+)
+"""Recordings in one file, besides bags: how each is detected and opened."""
+FOLDER_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path, CameraOptions | None], FrameSource]], ...] = (
+    (is_tum, open_tum),
+    (is_bop, open_bop),
+    (is_scannet, open_scannet),
+    (is_record3d, open_record3d),
+    (is_replica, open_replica),
+    (is_kubric, open_kubric),
+    (is_seven_scenes, open_seven_scenes),
+    (is_pair, open_pair),
+)
+"""Layouts of folders in the order in which they are tried; any other folder must hold numbered frames."""
 
 
 def is_bag(path: Path) -> bool:
@@ -42,17 +65,17 @@ def open_source(
     color_topic: str | None = None,
     depth_topic: str | None = None,
 ) -> FrameSource:
-    """Open a pair folder, a TUM RGB-D directory, a folder of numbered frames or a bag; the kind is detected.
+    """Open a folder of frames, a bag or another recording; the kind is detected (`FOLDER_KINDS`, `FILE_KINDS`).
 
     Args:
-        path: a folder, or a bag file.
-        options: the camera.
+        path: a folder, a bag file, an `.r3d` file of Record3D or an `.mkv` file of an Azure Kinect.
+        options: the camera, its depth and the pairing of colour and depth.
         color_topic, depth_topic: required where a bag has several.
 
     Raises:
         ReaderError: the folder does not exist or holds no frames, there is no camera, or topics are given for a path
             that is not a bag.
-        MissingExtraError: the path is a bag and rosbags is not installed.
+        MissingExtraError: the library that the kind needs is not installed.
         CameraError: the camera file lacks intrinsics or holds invalid ones.
         FrameError: invalid depth scale.
     """
@@ -63,10 +86,10 @@ def open_source(
         return open_bag(path, options, color_topic=color_topic, depth_topic=depth_topic)
     if color_topic is not None or depth_topic is not None:
         raise ReaderError(f"{path}: topics are for bags only (.bag, .mcap or a ROS 2 bag folder)")
+    kinds = FOLDER_KINDS if path.is_dir() else FILE_KINDS if path.is_file() else ()
+    for detect, open_kind in kinds:
+        if detect(path):
+            return open_kind(path, options)
     if not path.is_dir():
-        raise ReaderError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
-    if is_tum(path):
-        return open_tum(path, options)
-    if is_pair(path):
-        return open_pair(path, options)
+        raise ReaderError(f"{path}: {'not a folder or a known recording' if path.exists() else 'no such folder'}")
     return open_folder(path, options)

@@ -30,6 +30,8 @@ class BagSequence:
         depth_scale: units per metre of integer depth.
         topics: of colour and depth.
         pairs: for each frame, the numbers of its colour and its depth message, and the colour stamp in seconds.
+        cuts: ascending indices of the frames with which the time restarts; no pair crosses a cut.
+        notes: corrections made when the bag was opened, one sentence each.
     """
 
     messages: BagMessages
@@ -37,6 +39,8 @@ class BagSequence:
     depth_scale: float
     topics: tuple[str, str]
     pairs: tuple[tuple[int, int, float], ...]
+    cuts: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.pairs)

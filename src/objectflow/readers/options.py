@@ -1,4 +1,4 @@
-"""The camera of a source: a file beside the images, a named camera or four intrinsics."""
+"""The caller's settings of a source: its camera, its depth and the pairing of colour and depth."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
-from objectflow.storage.images import read_color
+from objectflow.readers.camera_files import find_camera_file, read_camera_file
+from objectflow.readers.camera_values import CameraValues, check_upright
+from objectflow.storage.image_files import read_size
 
 DEFAULT_DEPTH_SCALE = 1000.0
-"""Default depth units per metre; most depth cameras write millimetres."""
+"""Default units per metre of integer depth; most depth cameras write millimetres."""
 
 NAMED_CAMERAS: dict[str, Camera] = {
     "fr1": Camera(width=640, height=480, fx=517.3, fy=516.5, cx=318.6, cy=255.3),
@@ -22,33 +24,67 @@ NAMED_CAMERAS: dict[str, Camera] = {
 
 
 class CameraSetup(NamedTuple):
-    """A camera and its depth units per metre."""
+    """A camera and how depth is stored.
+
+    Attributes:
+        camera: of the images.
+        depth_scale: units per metre of integer depth.
+        float_depth_scale: units per metre of floating-point depth.
+        values: the camera file's content, for its distortion; None without a file.
+        note: what the camera file was taken to mean; empty where that is clear.
+    """
 
     camera: Camera
     depth_scale: float
+    float_depth_scale: float = 1.0
+    values: CameraValues | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True)
 class CameraOptions:
-    """Camera settings of the caller; a value that is None is read from the `camera.json` beside the images.
+    """Settings of the caller; a camera or scale that is None is read from the camera file beside the images.
 
     Attributes:
-        camera_file: a `camera.json`, or a name of `NAMED_CAMERAS`.
+        camera_file: a camera file of any form of `readers.camera_files`, or a name of `NAMED_CAMERAS`.
         intrinsics: fx, fy, cx, cy in pixels, at the size of the images.
-        depth_scale: depth units per metre; overrides the camera file.
+        depth_scale: units per metre of integer and of floating-point depth; None for the file's or the layout's scale
+            of integers, and for metres of floating-point depth.
+        max_depth: depth beyond it is missing, metres; None for no limit.
+        max_lag: longest time between a colour image and its depth image, seconds; None for the reader's own limit.
     """
 
     camera_file: Path | None = None
     intrinsics: tuple[float, float, float, float] | None = None
     depth_scale: float | None = None
+    max_depth: float | None = None
+    max_lag: float | None = None
 
-    def resolve(self, folder: Path, first_color: Path, default_scale: float = DEFAULT_DEPTH_SCALE) -> CameraSetup:
+    def __post_init__(self) -> None:
+        for name in ("max_depth", "max_lag"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < float("inf"):
+                raise ReaderError(f"{name} must be a positive number, not {value}")
+
+    @property
+    def has_camera(self) -> bool:
+        """Whether the caller gives a camera."""
+        return self.camera_file is not None or self.intrinsics is not None
+
+    def resolve(
+        self,
+        folder: Path,
+        first_image: Path,
+        default_scale: float = DEFAULT_DEPTH_SCALE,
+        default_camera: CameraValues | None = None,
+    ) -> CameraSetup:
         """Find the camera of a folder of images.
 
         Args:
-            folder: may hold a `camera.json`.
-            first_color: a colour image of the source, whose size the camera must have.
-            default_scale: depth units per metre if neither the caller nor the file sets it.
+            folder: may hold a camera file.
+            first_image: an image of the source, whose size the camera must have.
+            default_scale: units per metre of integer depth if neither the caller nor the file sets them.
+            default_camera: the camera of the layout, if neither the caller nor a file gives one.
 
         Raises:
             ReaderError: there is no camera, two cameras are given, the camera has another image size, or a file
@@ -56,11 +92,15 @@ class CameraOptions:
             CameraError: invalid intrinsics.
             FrameError: invalid depth scale.
         """
-        height, width = read_color(first_color).shape[:2]
-        return self.fit((width, height), folder, str(first_color), default_scale)
+        return self.fit(read_size(first_image), folder, str(first_image), default_scale, default_camera)
 
     def fit(
-        self, size: tuple[int, int], folder: Path, image: str = "the image", default_scale: float = DEFAULT_DEPTH_SCALE
+        self,
+        size: tuple[int, int],
+        folder: Path,
+        image: str = "the image",
+        default_scale: float = DEFAULT_DEPTH_SCALE,
+        default_camera: CameraValues | None = None,
     ) -> CameraSetup:
         """The camera of images of a size (width, height); other arguments and errors as for `resolve`."""
         if self.camera_file is not None and self.intrinsics is not None:
@@ -68,31 +108,37 @@ class CameraOptions:
         if self.depth_scale is not None:
             check_depth_scale(self.depth_scale)
         width, height = size
+        values: CameraValues | None = None
+        where = ""
         if self.intrinsics is not None:
+            check_upright(*self.intrinsics, "--intrinsics")
             fx, fy, cx, cy = self.intrinsics
-            camera, scale = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy), None
+            camera = Camera(width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+        elif self.camera_file is not None and self._is_named():
+            where, camera = str(self.camera_file), NAMED_CAMERAS[str(self.camera_file)]
         else:
-            camera, scale = self._read_file(folder)
+            where, values = self._read_file(folder, default_camera)
+            camera = values.camera(size, where)
         if (camera.width, camera.height) != (width, height):
             raise ReaderError(
-                f"{self.camera_file or folder / 'camera.json'}: the camera is {camera.width}x{camera.height}, "
+                f"{where}: the camera is {camera.width}x{camera.height}, "
                 f"but {image} is {width}x{height}: give the intrinsics of that size"
             )
-        return CameraSetup(camera, self.depth_scale or scale or default_scale)
+        scale = self.depth_scale or (values and values.depth_scale) or default_scale
+        return CameraSetup(camera, scale, self.depth_scale or 1.0, values, values.note if values else "")
 
-    def _read_file(self, folder: Path) -> tuple[Camera, float | None]:
-        path = self.camera_file
-        if path is not None and str(path) in NAMED_CAMERAS and not path.exists():
-            return NAMED_CAMERAS[str(path)], None
-        if path is None:
-            path = folder / "camera.json"
-            if not path.exists():
-                raise ReaderError(
-                    f"{folder}: no camera.json in this folder: give --camera-file FILE (or {', '.join(NAMED_CAMERAS)} "
-                    "for the TUM cameras) or --intrinsics fx fy cx cy"
-                )
-        try:
-            return Camera.read(path)
-        except OverflowError:
-            # JSON integers are unbounded; floats are not.
-            raise ReaderError(f"{path}: a number is too large for a camera") from None
+    def _is_named(self) -> bool:
+        return (
+            str(self.camera_file) in NAMED_CAMERAS and self.camera_file is not None and not self.camera_file.exists()
+        )
+
+    def _read_file(self, folder: Path, default: CameraValues | None) -> tuple[str, CameraValues]:
+        path = self.camera_file or find_camera_file(folder)
+        if path is not None:
+            return str(path), read_camera_file(path)
+        if default is not None:
+            return str(folder), default
+        raise ReaderError(
+            f"{folder}: no camera.json in this folder, and no other camera file: give --camera-file FILE (or "
+            f"{', '.join(NAMED_CAMERAS)} for the TUM cameras) or --intrinsics fx fy cx cy"
+        )

@@ -35,6 +35,8 @@ class RunFrames:
         motion = SceneMotion.load(folder)
         if max(prev_index, curr_index) >= len(self._source):
             raise ResultError(f"{folder}: its source has only {len(self._source)} frames now: the source has changed")
+        if self._last and self._last[0] != prev_index:
+            self._tracker.reset()
         prev = self._last[1] if self._last and self._last[0] == prev_index else self._source[prev_index]
         curr = self._source[curr_index]
         check_size(motion, curr, str(folder))
