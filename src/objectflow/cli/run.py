@@ -20,8 +20,8 @@ from tyro.conf import Positional
 from objectflow import __version__
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
-from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
-from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
+from objectflow.cli.arguments import MethodArguments, ResultArguments, TopicArguments, ViewArguments, option
+from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
 from objectflow.methods.base import Estimator, estimate_pair
@@ -31,20 +31,23 @@ from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
 from objectflow.storage.locked_folder import FolderKind, locked_folder
-from objectflow.tracking.tracker import Tracker
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.view.run_frames import RunFrames
+from objectflow.view.run_tracks import RunTracks
+from objectflow.view.video import write_video
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
   objectflow run recording --every 5 --camera moving --out result
-  objectflow run recording --intrinsics 615 615 320 240 --depth-scale 1000
+  objectflow run recording --intrinsics 615,615,320,240 --depth-scale 1000
   objectflow run table.bag --dt 0.5
   objectflow run table.bag --dt 0.5 --view
+  objectflow run table.bag --dt 0.5 --video
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
 SUMMARY = "summary.csv"
+VIDEO = "overlay.mp4"
 MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
 NOTES = "notes.txt"
@@ -61,7 +64,7 @@ RUN_FOLDER = FolderKind(
 
 
 @dataclass(frozen=True)
-class Run(ViewArguments, TopicArguments, MethodArguments):
+class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: a result folder per pair, a table, and a trajectory per object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
@@ -78,9 +81,14 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
     dt: Annotated[float | None, option("SECONDS", "every frame")] = None
     """Take a frame every SECONDS instead; objects must have moved between two frames."""
 
+    video: bool = False
+    """Also write overlay.mp4, the overlays of all pairs."""
+
     def run(self) -> None:
         """Read, estimate and write, pair by pair."""
-        estimator = self.estimator()
+        self.check_method()
+        if self.video and not self.pictures:
+            raise ReaderError("--video is made of the pictures: leave out --no-pictures")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with silence_stderr(), warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", CutOffWarning)
@@ -95,6 +103,8 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
         notes = [*(str(warning.message) for warning in caught), *sequence.notes]
         for note in notes:
             print(f"note: {note}")
+        # A wrong path is reported before the method, which is slow to load.
+        estimator = self.estimator()
         with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
             if self.out is None:
                 link_latest(out)
@@ -105,29 +115,39 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
                 task = progress.add_task("pairs", total=sum(len(part) - 1 for part in parts if part))
                 last: tuple[int, PreparedFrame] | None = None
                 shown = RunFrames(sequence)
+                tracks = RunTracks(sequence, parts)
                 for prev_index, curr_index in itertools.chain([first], ahead):
                     result = out / _name((prev_index, curr_index))
                     if result.is_dir():
                         skipped += 1
+                        with silence_stderr():
+                            tracks.add(prev_index, curr_index, sequence[curr_index], SceneMotion.load(result))
                     else:
                         with silence_stderr():
                             curr = pairs.read(curr_index)
                             prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
                         # Reuse what the last pair computed on its current frame.
                         pair = FramePair(prev, curr)
+                        motion = estimate_pair(estimator, pair)
+                        marks = tracks.add(prev_index, curr_index, curr, motion)
                         with files.new_folder(result) as folder:
-                            write_result(folder, curr, estimate_pair(estimator, pair))
+                            write_result(
+                                folder, curr, motion, tracks=marks, pictures=self.pictures, exports=self.export
+                            )
                         last = (curr_index, pair.curr)
                     finished.append((prev_index, curr_index))
                     progress.advance(task)
                     viewer.show(partial(shown.read, result, prev_index, curr_index))
-            with silence_stderr():
-                count = _track(out, finished, sequence)
+            write_tracks(out, tracks.tracker)
+            count = len(tracks.tracker.tracks)
+            if self.video:
+                overlays = [out / _name(pair) / "overlay.png" for pair in finished]
+                write_video(out / VIDEO, overlays, tracks.frame_rate)
             _summarise(out, finished, skipped=skipped)
             _report(out, notes, pairs.left_out)
             if count:
                 print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
-        print(f"written to {out}")
+        print_written(out)
 
     def _open(self) -> FrameSource:
         return open_source(
@@ -188,28 +208,6 @@ def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
 
 def _name(pair: tuple[int, int]) -> str:
     return f"pair_{pair[0]:06d}_{pair[1]:06d}"
-
-
-def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> int:
-    """Link the objects of all pairs, write their trajectories and return their number.
-
-    The results are read back, so that a continued run gives the same trajectories as an uninterrupted one.
-    """
-    tracker = Tracker()
-    times = {index: sequence.timestamp(index) for pair in pairs for index in pair}
-    last: int | None = None
-    for prev_index, curr_index in pairs:
-        if last is not None and prev_index != last:
-            tracker.reset()
-        last = curr_index
-        # Frame numbers serve as times where the source has none.
-        prev_time, time = (
-            float(index) if None in times.values() else float(times[index] or 0) for index in (prev_index, curr_index)
-        )
-        motion = SceneMotion.load(out / _name((prev_index, curr_index)))
-        tracker.update(prev_time, sequence[curr_index], time, motion)
-    write_tracks(out, tracker)
-    return len(tracker.tracks)
 
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
