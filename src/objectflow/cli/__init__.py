@@ -166,11 +166,13 @@ def _unboxed(text: str) -> str:
     """The message inside the box drawn by the argument parser, and the first option that it suggests instead."""
     similar = re.search(r"(?:similar to|Perhaps you meant)[^\n]*\n[│\s]*(--[\w.-]+)", text)
     hint = f": did you mean {similar[1]}?" if similar else ""
-    lines = []
+    lines: list[str] = []
     for line in text.splitlines()[1:]:
         inner = line.strip("│ ")
-        if inner.startswith(("──", "╰")):
-            break
+        if inner.startswith(("──", "╰", "-----")):
+            if lines:
+                break
+            continue
         lines.append(inner)
     # The parser lists None as an alternative of optional arguments; it cannot be typed.
     markup = r"\[/?bold\]|\{None\}\||- <class 'NoneType'>: .*? \('None',\) "

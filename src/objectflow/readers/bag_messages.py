@@ -15,7 +15,7 @@ try:
     from rosbags.interfaces import Connection
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 except ImportError as error:
-    raise MissingExtraError('bags need rosbags: pip install "objectflow[bag]"') from error
+    raise MissingExtraError("bags need rosbags", "bag") from error
 
 
 class BagMessages(Protocol):

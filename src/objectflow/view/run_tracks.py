@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 from collections.abc import Sequence
 
@@ -41,9 +42,9 @@ class RunTracks:
         # Frame numbers serve as times where the source has none.
         known = {index: time for index, time in times.items() if time is not None}
         self._times = known if len(known) == len(times) else {index: float(index) for index in times}
-        gaps = [known[b] - known[a] for part in parts for a, b in zip(part, part[1:], strict=False) if len(known) > 1]
+        gaps = [known[b] - known[a] for part in parts for a, b in itertools.pairwise(part) if len(known) == len(times)]
         self.frame_rate = FRAME_RATE
-        if len(known) == len(times) and gaps:
+        if gaps:
             self.frame_rate = min(MAX_FRAME_RATE, 1 / max(statistics.median(gaps), 1e-3))
         self._last: int | None = None
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from objectflow.errors import StorageError
-from objectflow.storage.images import read_color
+from objectflow.storage.image_files import read_color
 
 CODEC = "mp4v"
 """Four characters that name the codec, MPEG-4 part 2, which every build of OpenCV has."""
