@@ -82,8 +82,8 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
         """Read, estimate and write, pair by pair."""
         estimator = self.estimator()
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
-        with silence_stderr(), warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", CutOffWarning)
+        with silence_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
             sequence = self._open()
             parts = self._select(sequence)
             pairs = ReadablePairs(sequence, parts, is_done=lambda prev, curr: (out / _name((prev, curr))).is_dir())
@@ -92,8 +92,7 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
             first = next(ahead, None)
         if first is None:
             raise next(iter(pairs.left_out.values()), None) or ReaderError(f"{self.source}: no pair of frames")
-        notes = [*(str(warning.message) for warning in caught), *sequence.notes]
-        for note in notes:
+        for note in sequence.notes:
             print(f"note: {note}")
         with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
             if self.out is None:
@@ -124,7 +123,7 @@ class Run(ViewArguments, TopicArguments, MethodArguments):
             with silence_stderr():
                 count = _track(out, finished, sequence)
             _summarise(out, finished, skipped=skipped)
-            _report(out, notes, pairs.left_out)
+            _report(out, sequence.notes, pairs.left_out)
             if count:
                 print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
         print(f"written to {out}")
@@ -234,7 +233,7 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
 
 
-def _report(out: Path, notes: list[str], left_out: dict[int, ReaderError | FrameError]) -> None:
+def _report(out: Path, notes: tuple[str, ...], left_out: dict[int, ReaderError | FrameError]) -> None:
     """Print the frames that were left out, and write them with the notes on the source to `notes.txt`, if any."""
     lines = [f"frame {index} left out: {' '.join(str(error).split())}" for index, error in left_out.items()]
     if notes or lines:
