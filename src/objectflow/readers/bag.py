@@ -13,14 +13,16 @@ from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.readers.bag_camera import ImageTopic
-from objectflow.readers.bag_geometry import FrameStep, plan_geometry
+from objectflow.readers.bag_geometry import plan_geometry
 from objectflow.readers.bag_messages import BagMessages
 from objectflow.readers.bag_times import pair_messages
 from objectflow.readers.bag_topics import choose_topics
+from objectflow.readers.camera_info import ImageCamera
 from objectflow.readers.options import DEFAULT_DEPTH_SCALE, CameraOptions
 from objectflow.readers.ros_images import to_color, to_depth
-from objectflow.readers.sequence import CutOffWarning
+from objectflow.readers.sequence import CutOffWarning, FrameStep
 from objectflow.readers.transforms import frame_name
+from objectflow.readers.tum import MAX_TIME_DIFFERENCE
 from objectflow.typing import Float32Array, UInt8Array
 
 MAX_BROKEN_IMAGES = 100
@@ -38,6 +40,7 @@ class BagSequence:
         float_depth_scale: units per metre of floating-point depth.
         topics: of colour and depth.
         pairs: for each frame, the numbers of its colour and its depth message, and the colour stamp in seconds.
+        max_depth: depth beyond it is missing, metres; None for no limit.
         steps: applied to colour and depth in metres after decoding: undistortion and registration.
         cuts: ascending indices of the frames with which the time restarts; no pair crosses a cut.
         notes: corrections made when the bag was opened, one sentence each.
@@ -49,6 +52,7 @@ class BagSequence:
     float_depth_scale: float
     topics: tuple[str, str]
     pairs: tuple[tuple[int, int, float], ...]
+    max_depth: float | None = None
     steps: tuple[FrameStep, ...] = ()
     cuts: tuple[int, ...] = ()
     notes: tuple[str, ...] = ()
@@ -66,9 +70,8 @@ class BagSequence:
         color_number, depth_number, seconds = self.pairs[index]
         color_topic, depth_topic = self.topics
         color = to_color(self.messages.read(color_topic, color_number), color_topic)
-        depth = to_depth(
-            self.messages.read(depth_topic, depth_number), depth_topic, self.depth_scale, self.float_depth_scale
-        )
+        message = self.messages.read(depth_topic, depth_number)
+        depth = to_depth(message, depth_topic, self.depth_scale, self.float_depth_scale, self.max_depth)
         for step in self.steps:
             color, depth = step(color, depth)
         return RgbdFrame(color, depth, self.camera, timestamp=seconds, name=f"{depth_topic} at {seconds:.3f} s")
@@ -107,20 +110,24 @@ def open_bag(
     if messages.cut_off:
         warnings.warn(CutOffWarning(f"{path}: cut off in the middle: only its complete part is read"), stacklevel=2)
     topics = choose_topics(path, messages, color_topic, depth_topic)
-    found = pair_messages(path, messages, *topics)
+    found = pair_messages(path, messages, *topics, options.max_lag or MAX_TIME_DIFFERENCE)
     color = _image_topic(messages, topics[0], [pair[0] for pair in found.pairs], to_color)
     depth = _image_topic(messages, topics[1], [pair[1] for pair in found.pairs], partial(to_depth, depth_scale=1.0))
     given = None
-    if options.camera_file is not None or options.intrinsics is not None:
-        given = options.fit(color.size, path.parent, color.name).camera
+    depth_scale, float_depth_scale = options.depth_scale or DEFAULT_DEPTH_SCALE, options.depth_scale or 1.0
+    if options.has_camera:
+        setup = options.fit(color.size, path.parent, color.name)
+        depth_scale, float_depth_scale = setup.depth_scale, setup.float_depth_scale
+        given = ImageCamera(setup.camera, setup.lens, (setup.note,) if setup.note else ())
     plan = plan_geometry(path, messages, color, depth, given)
     return BagSequence(
         messages,
         plan.camera,
-        options.depth_scale or DEFAULT_DEPTH_SCALE,
-        options.depth_scale or 1.0,
+        depth_scale,
+        float_depth_scale,
         topics,
         found.pairs,
+        options.max_depth,
         plan.steps,
         found.cuts,
         (*messages.notes, *found.notes, *plan.notes),

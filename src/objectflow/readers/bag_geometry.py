@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
 from objectflow import geometry
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.resample import resize_nearest
 from objectflow.readers.bag_camera import CameraChoice, ImageTopic, choose_camera
 from objectflow.readers.bag_messages import BagMessages
 from objectflow.readers.bag_records import EXTRINSICS_TYPES, TRANSFORM_TYPES
 from objectflow.readers.camera_info import ImageCamera, is_rectified
+from objectflow.readers.frame_steps import DepthAtColor
 from objectflow.readers.rectify import Rectification
 from objectflow.readers.register_depth import DepthRegistration
+from objectflow.readers.sequence import FrameStep
 from objectflow.readers.transforms import TransformTree, extrinsics_matrix
-from objectflow.typing import Float32Array, Float64Array, UInt8Array
-
-FrameStep: TypeAlias = Callable[[UInt8Array, Float32Array], tuple[UInt8Array, Float32Array]]
-"""A step between decoding and the frame, from (colour, depth in metres) to the same."""
+from objectflow.typing import Float64Array
 
 REGISTERED_NAMES = ("aligned_depth_to_color", "depth_registered", "depth_to_rgb", "depth_to_color")
 """Parts of the names of topics whose depth lies on the pixels of colour."""
@@ -67,21 +63,12 @@ class BagGeometry:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class ResizedDepth:
-    """Brings depth of the same field of view to the size of colour by the nearest pixel."""
-
-    def __call__(self, color: UInt8Array, depth: Float32Array) -> tuple[UInt8Array, Float32Array]:
-        """Resize depth (h, w) to colour (H, W, 3)."""
-        return color, resize_nearest(depth, color.shape[:2])
-
-
 def plan_geometry(
     path: Path,
     messages: BagMessages,
     color: ImageTopic,
     depth: ImageTopic,
-    given: Camera | None,
+    given: ImageCamera | None,
     settings: GeometrySettings | None = None,
 ) -> BagGeometry:
     """Find the cameras of both topics and the steps that make frames of them.
@@ -90,14 +77,14 @@ def plan_geometry(
         path: of the bag, for error messages.
         messages: of the bag.
         color, depth: the two topics.
-        given: the caller's camera of the colour images, which are then taken as rectified.
+        given: the caller's camera of the colour images, which replaces their CameraInfo.
         settings: thresholds.
 
     Raises:
         ReaderError: colour has no camera, or depth is not registered and the bag lacks what registration needs.
     """
     settings = settings or GeometrySettings()
-    choice = CameraChoice(ImageCamera(given)) if given else choose_camera(messages, color, related=(depth.name,))
+    choice = CameraChoice(given) if given else choose_camera(messages, color, related=(depth.name,))
     if choice.camera is None:
         reasons = "; ".join(choice.reasons) or "found: none"
         width, height = color.size
@@ -118,7 +105,7 @@ def plan_geometry(
     if own.camera is None:
         if is_same and _same_aspect(color.size, depth.size, settings):
             note = f"depth of {_size(depth)} is brought to colour's {_size(color)} by the nearest pixel"
-            return _on_color_pixels(found, color, depth, (ResizedDepth(),), (note,))
+            return _on_color_pixels(found, color, depth, (DepthAtColor(depth.size),), (note,))
         raise ReaderError(
             f"{path}: depth on {depth.name} is {_size(depth)}, colour {_size(color)}, and depth has no CameraInfo "
             f"{'(' + '; '.join(own.reasons) + ')' if own.reasons else ''}: {_ADVICE}"

@@ -8,22 +8,17 @@ from __future__ import annotations
 
 import io
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from objectflow.errors import ReaderError
-from objectflow.storage.foreign import foreign_errors
-from objectflow.typing import Float32Array, UInt8Array
-
-MAX_PIXELS = 64_000_000
-"""Largest image that is decoded, in pixels."""
-PNG_START = b"\x89PNG\r\n\x1a\n"
-_CODED_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP")
-"""Formats of coded images, by their names in Pillow."""
+from objectflow.storage import coded_images
+from objectflow.storage.image_files import check_pixels
+from objectflow.typing import UInt8Array
 
 
 @dataclass(frozen=True)
@@ -95,12 +90,12 @@ def raw_pixels(
         where: topic and encoding, for error messages.
 
     Raises:
-        ReaderError: the sizes do not fit the data, or the image has more than `MAX_PIXELS`.
+        ReaderError: the sizes do not fit the data, or the image has too many pixels.
     """
     itemsize = np.dtype(layout.dtype).itemsize
     row = width * layout.channels * itemsize
     rows = height * layout.rows // 2
-    check_pixels(width, height, where)
+    check_pixels((width, height), Path(where))
     if step < row or len(data) < rows * step:
         raise ReaderError(f"{where}: an image of {width}x{height} with rows of {step} bytes does not fit its data")
     if (layout.rows != 2 or layout.channels == 2) and (width % 2 or (layout.rows != 2 and height % 2)):
@@ -119,48 +114,16 @@ def to_rgb8(pixels: NDArray[Any], to_rgb: int | None) -> UInt8Array:
     return np.ascontiguousarray(image, dtype=np.uint8)
 
 
-def to_metres(raw: NDArray[Any], *, depth_scale: float, float_depth_scale: float) -> Float32Array:
-    """Depth as (H, W) float32 metres, 0 = missing.
-
-    Args:
-        raw: (H, W) integers, whose largest value is missing depth, or floating-point numbers, of which negative and
-            infinite ones and NaN are missing depth.
-        depth_scale: units per metre of integers.
-        float_depth_scale: units per metre of floating-point numbers.
-    """
-    if np.issubdtype(raw.dtype, np.integer):
-        known = (raw > 0) & (raw < np.iinfo(raw.dtype).max)
-        scale = depth_scale
-    else:
-        known = np.isfinite(raw) & (raw > 0)
-        scale = float_depth_scale
-    with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which `RgbdFrame` reports
-        metres = raw.astype(np.float32) / np.float32(scale)
-    return np.where(known, metres, np.float32(0)).astype(np.float32)
-
-
 def decode_coded(data: bytes, where: str) -> NDArray[Any]:
-    """Decode a PNG, JPEG, WebP, TIFF or BMP: (H, W) or (H, W, 3 or 4) in BGR order, in the type of the file.
+    """Decode a PNG, JPEG, WebP, TIFF or BMP: (H, W) or (H, W, 3 or 4), RGB or RGBA, in the type of the file.
 
     Raises:
-        ReaderError: the data are broken or cut off, or the image has more than `MAX_PIXELS`.
+        ReaderError: the data are broken or cut off, or the image has too many pixels.
     """
-    with (
-        foreign_errors(ReaderError, f"{where}: not an image that can be decoded"),
-        Image.open(io.BytesIO(data), formats=_CODED_FORMATS) as header,
-    ):
-        width, height = header.size
-    check_pixels(width, height, where)
-    # OpenCV fills missing rows without an error.
-    if data.startswith(PNG_START) and b"IEND" not in data[-16:]:
-        raise ReaderError(f"{where}: the PNG is cut off")
-    if data.startswith(b"\xff\xd8") and data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
-        raise ReaderError(f"{where}: the JPEG is cut off")
-    with foreign_errors(ReaderError, f"{where}: not an image that can be decoded"):
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ReaderError(f"{where}: an image that is damaged")
-    return np.asarray(image)
+    name = Path(where)
+    coded_images.check_complete(data, name)
+    check_pixels(coded_images.coded_size(io.BytesIO(data), name), name)
+    return coded_images.decode(data, name)
 
 
 def decode_rvl(data: bytes, where: str) -> NDArray[np.uint16]:
@@ -173,12 +136,12 @@ def decode_rvl(data: bytes, where: str) -> NDArray[np.uint16]:
         (H, W) uint16.
 
     Raises:
-        ReaderError: the stream is broken or too short, or the image has more than `MAX_PIXELS`.
+        ReaderError: the stream is broken or too short, or the image has too many pixels.
     """
     if len(data) < 8:
         raise ReaderError(f"{where}: depth in RVL lacks its size")
     width, height = (int(value) for value in np.frombuffer(data, "<i4", count=2))
-    check_pixels(width, height, where)
+    check_pixels((width, height), Path(where))
     count = width * height
     lengths, deltas = _rvl_runs(_rvl_values(data[8:], where), count, where)
     is_known = np.repeat(np.arange(len(lengths)) % 2 == 1, lengths)
@@ -220,15 +183,3 @@ def _rvl_runs(values: NDArray[np.int64], count: int, where: str) -> tuple[list[i
         position += known
     coded = np.concatenate(parts) if parts else np.zeros(0, np.int64)
     return lengths, (coded >> 1) ^ -(coded & 1)
-
-
-def check_pixels(width: int, height: int, where: str) -> None:
-    """Check the size of an image before it is decoded.
-
-    Raises:
-        ReaderError: a size that is not positive, or more than `MAX_PIXELS`.
-    """
-    if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ReaderError(
-            f"{where}: an image of {width}x{height} pixels is not read; the limit is {MAX_PIXELS / 1e6:.0f} megapixels"
-        )

@@ -87,7 +87,8 @@ def make_lens(model: str, coefficients: tuple[float, ...]) -> Lens | None:
     Raises:
         CameraError: an unknown model, or coefficients that do not fit it.
     """
-    name = model.strip().lower().replace(" ", "_")
+    # librealsense's Python binding prints `distortion.brown_conrady`.
+    name = model.strip().lower().replace(" ", "_").removeprefix("distortion.")
     values = tuple(float(value) for value in coefficients)
     if not np.isfinite(values).all():
         raise CameraError(f"distortion coefficients must be finite, not {values}")

@@ -10,6 +10,7 @@ from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.readers.camera_files import find_camera_file, read_camera_file
 from objectflow.readers.camera_values import CameraValues, check_upright
+from objectflow.readers.lens import Lens, make_lens
 from objectflow.storage.image_files import read_size
 
 DEFAULT_DEPTH_SCALE = 1000.0
@@ -39,6 +40,15 @@ class CameraSetup(NamedTuple):
     float_depth_scale: float = 1.0
     values: CameraValues | None = None
     note: str = ""
+
+    @property
+    def lens(self) -> Lens | None:
+        """The distortion of the images by the camera file; None without one.
+
+        Raises:
+            CameraError: a distortion model that is not known.
+        """
+        return make_lens(self.values.distortion_model, self.values.distortion) if self.values else None
 
 
 @dataclass(frozen=True)

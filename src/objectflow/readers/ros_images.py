@@ -12,15 +12,15 @@ from objectflow.errors import ReaderError
 from objectflow.readers.decoders import (
     COLOR_LAYOUTS,
     DEPTH_LAYOUTS,
-    PNG_START,
     Layout,
     decode_coded,
     decode_rvl,
     raw_pixels,
-    to_metres,
     to_rgb8,
 )
+from objectflow.storage.coded_images import PNG_START
 from objectflow.storage.foreign import foreign_errors
+from objectflow.storage.image_files import to_metres
 from objectflow.typing import Float32Array, UInt8Array
 
 _DEPTH_WORDS = (*DEPTH_LAYOUTS, "mono16")
@@ -63,7 +63,9 @@ def to_color(message: Any, topic: str) -> UInt8Array:
     return to_rgb8(_pixels(message, layout, topic), layout.to_rgb)
 
 
-def to_depth(message: Any, topic: str, depth_scale: float, float_depth_scale: float = 1.0) -> Float32Array:
+def to_depth(
+    message: Any, topic: str, depth_scale: float, float_depth_scale: float = 1.0, max_depth: float | None = None
+) -> Float32Array:
     """Decode an Image or CompressedImage message to (H, W) float32 metres, 0 = missing.
 
     Args:
@@ -71,6 +73,7 @@ def to_depth(message: Any, topic: str, depth_scale: float, float_depth_scale: fl
         topic: for error messages.
         depth_scale: units per metre of integer depth.
         float_depth_scale: units per metre of floating-point depth.
+        max_depth: depth beyond it is missing, metres; None for no limit.
 
     Raises:
         ReaderError: the message is not a depth image or is broken.
@@ -92,7 +95,7 @@ def to_depth(message: Any, topic: str, depth_scale: float, float_depth_scale: fl
                 "name another --depth-topic"
             )
         raw = _pixels(message, layout, topic)
-    return to_metres(raw, depth_scale=depth_scale, float_depth_scale=float_depth_scale)
+    return to_metres(raw, depth_scale=depth_scale, float_depth_scale=float_depth_scale, max_depth=max_depth)
 
 
 def _encoding(message: Any) -> str:
@@ -130,7 +133,7 @@ def _coded_color(message: Any, topic: str) -> UInt8Array:
     if channels == 1 and source is not None and source.channels == 1:
         # A Bayer pattern may be compressed as it is.
         return to_rgb8(image.reshape(image.shape[:2]), source.to_rgb)
-    names = {1: "mono8", 3: "bgr8", 4: "bgra8"}
+    names = {1: "mono8", 3: "rgb8", 4: "rgba8"}
     return to_rgb8(image, COLOR_LAYOUTS[names[channels]].to_rgb)
 
 
