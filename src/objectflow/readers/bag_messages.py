@@ -9,7 +9,7 @@ from typing import Any
 from objectflow.errors import MissingExtraError, ReaderError
 from objectflow.readers.bag_files import BagFile, open_bag_file
 from objectflow.readers.bag_paths import find_files
-from objectflow.readers.bag_records import EXTRINSICS_TYPES, MessageEntry
+from objectflow.readers.bag_records import EXTRINSICS_TYPES, TRANSFORM_TYPES, MessageEntry
 from objectflow.storage.foreign import foreign_errors
 
 try:
@@ -19,6 +19,8 @@ except ImportError as error:
 
 _EXTRINSICS = "std_msgs/Header header\nfloat64[9] rotation\nfloat64[3] translation"
 """Definition of the RealSense driver's message."""
+_TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
+"""Definition of the message of tf and tf2."""
 
 
 class BagMessages:
@@ -73,8 +75,9 @@ class BagMessages:
         self.types = {topic: found[0][1].channel.msgtype for topic, found in self._entries.items()}
         self._stores = {True: get_typestore(Stores.ROS2_HUMBLE), False: get_typestore(Stores.ROS1_NOETIC)}
         for store in self._stores.values():
-            for msgtype in EXTRINSICS_TYPES:
-                store.register(get_types_from_msg(_EXTRINSICS, msgtype))
+            for msgtypes, definition in ((EXTRINSICS_TYPES, _EXTRINSICS), (TRANSFORM_TYPES, _TRANSFORMS)):
+                for msgtype in msgtypes - set(store.types):
+                    store.register(get_types_from_msg(definition, msgtype))
 
     def stamps(self, topic: str) -> list[int]:
         """Header stamp of each message in the order of recording, nanoseconds; 0 where it has none."""
@@ -95,6 +98,5 @@ class BagMessages:
             data = file.read(entry.location) if entry.content is None else entry.content
             store = self._stores[entry.channel.is_cdr]
             deserialize = store.deserialize_cdr if entry.channel.is_cdr else store.deserialize_ros1
-            # The definitions of these messages have not changed; ROS 1 names them without their folder.
-            msgtype = entry.channel.msgtype.replace("tf/msg/tfMessage", "tf2_msgs/msg/TFMessage")
-            return deserialize(data, msgtype)
+            # The definitions of these messages are the same in all versions, whatever a bag says.
+            return deserialize(data, entry.channel.msgtype)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import bz2
 import struct
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import BinaryIO, NamedTuple, Protocol
+from typing import Any, BinaryIO, NamedTuple, Protocol
 
 from objectflow.readers.message_compression import HEAD_BYTES, ZSTD_MAGIC, unpack_head, unpack_message
 
@@ -179,22 +178,25 @@ def decompress(data: bytes, compression: str, unpacked: int) -> bytes:
     """
     if not 0 <= unpacked <= MAX_CHUNK_BYTES:
         raise ValueError(f"a chunk of {unpacked} bytes is too large")
-    unpack: Callable[[bytes, int], bytes]
+    decompressor: Any
     if compression == "bz2":
-        unpack = bz2.BZ2Decompressor().decompress
+        decompressor = bz2.BZ2Decompressor()
     elif compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
-        unpack = lz4.frame.LZ4FrameDecompressor().decompress
+        decompressor = lz4.frame.LZ4FrameDecompressor()
     elif compression == "zstd":
         from backports import zstd
 
-        unpack = zstd.ZstdDecompressor().decompress
+        decompressor = zstd.ZstdDecompressor()
     else:
         raise ValueError(f"compression {compression!r} is not known")
     # A decompressor may return less than it could, so it is called until it returns nothing.
     parts, length, rest = [], 0, data
-    while length < unpacked and (part := unpack(rest, unpacked - length)):
+    while length < unpacked and not decompressor.eof:
+        part = decompressor.decompress(rest, unpacked - length)
+        if not part:
+            break
         parts.append(part)
         length += len(part)
         rest = b""

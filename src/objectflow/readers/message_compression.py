@@ -40,7 +40,10 @@ def unpack_head(data: bytes, size: int) -> bytes:
 
     decompressor = zstd.ZstdDecompressor()
     parts, length, rest = [], 0, data
-    while length < size and (part := decompressor.decompress(rest, size - length)):
+    while length < size and not decompressor.eof:
+        part = decompressor.decompress(rest, size - length)
+        if not part:
+            break
         parts.append(part)
         length += len(part)
         rest = b""
