@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import MethodArguments, ViewArguments, open_two, option
+from objectflow.cli.findings import warn_of
 from objectflow.cli.output import new_result, print_objects, write_result
 from objectflow.frame import check_pair
 from objectflow.runtime.quiet import silence_stderr
@@ -47,8 +48,12 @@ class Estimate(ViewArguments, MethodArguments):
         """Read, estimate, write, print."""
         estimator = self.estimator()
         with silence_stderr():
-            prev, curr = open_two(self.paths, self.camera_options())
+            source = open_two(self.paths, self.camera_options())
+            prev, curr = source
         check_pair(prev, curr)
+        for note in source.notes:
+            print(f"note: {note}")
+        warn_of(prev, curr)
         with self.viewer(self.paths[0].stem) as viewer, new_result(self.out) as (folder, path):
             motion = estimator(prev, curr)
             write_result(folder, curr, motion)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
@@ -75,6 +77,25 @@ class CameraOptions:
             value = getattr(self, name)
             if value is not None and not 0 < value < float("inf"):
                 raise ReaderError(f"{name} must be a positive number, not {value}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The options as JSON values, with an absolute path of the camera file."""
+        file = self.camera_file
+        named = None if file is None else str(file if self._is_named() else file.resolve())
+        return {**dataclasses.asdict(self), "camera_file": named, "intrinsics": self.intrinsics and [*self.intrinsics]}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> CameraOptions:
+        """The options of `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: values that `to_dict` does not make.
+        """
+        file, intrinsics = values["camera_file"], values["intrinsics"]
+        numbers = (values[name] for name in ("depth_scale", "max_depth", "max_lag"))
+        scale, depth, lag = (None if value is None else float(value) for value in numbers)
+        four = None if intrinsics is None else (*map(float, intrinsics),)
+        return cls(None if file is None else Path(file), four, scale, depth, lag)  # type: ignore[arg-type]
 
     @property
     def has_camera(self) -> bool:

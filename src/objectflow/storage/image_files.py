@@ -128,7 +128,7 @@ def to_metres(
             missing |= np.isinf(depth)
         # Wide types are scaled before the cast, because large integers and doubles may not fit float32.
         scale = np.float32(float_depth_scale if floating else depth_scale)
-        wide = depth.astype(np.float64 if depth.dtype.itemsize > 4 else np.float32)
+        wide: NDArray[Any] = depth.astype(np.float64 if depth.dtype.itemsize > 4 else np.float32)
         metres: Float32Array = (wide / scale).astype(np.float32)
     metres[missing] = 0
     if max_depth is not None:
