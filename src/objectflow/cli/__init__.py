@@ -44,7 +44,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "live": CommandEntry("track objects live, from a camera or a recording", "objectflow.cli.live", "Live"),
     "demo": CommandEntry("the packaged pair, compared with its ground truth", "objectflow.cli.demo", "Demo"),
     "generate": CommandEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
-    "check": CommandEntry("verify a data set and print its statistics", "objectflow.cli.check", "Check"),
+    "check": CommandEntry("check a recording for input errors, or verify a data set", "objectflow.cli.check", "Check"),
     "show": CommandEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
     "view": CommandEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
     "check-pair": CommandEntry("check two frames for common input errors", "objectflow.cli.check_pair", "CheckPair"),
