@@ -430,6 +430,30 @@ def test_an_r3d_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None
         open_source(tmp_path / "c.r3d")
 
 
+def test_a_camera_file_with_distortion_undistorts_the_images(tmp_path: Path) -> None:
+    """Colour is compared with OpenCV's own undistortion, depth with the nearest pixel of its map."""
+    rng = np.random.default_rng(0)
+    matrix, lens = np.array(K, float).reshape(3, 3), np.array([-0.2, 0.05, 0.001, -0.002, 0.0])
+    image = cv2.GaussianBlur(rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8), (0, 0), 2)
+    units = rng.integers(900, 1100, (HEIGHT, WIDTH), dtype=np.uint16)
+    for k in range(2):
+        write(tmp_path / f"color/{k}.png", image)
+        write(tmp_path / f"depth/{k}.png", units)
+    (tmp_path / "camera_info.yaml").write_text(
+        f"image_width: {WIDTH}\nimage_height: {HEIGHT}\ndistortion_model: plumb_bob\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: {K}}}\n"
+        f"distortion_coefficients: {{rows: 1, cols: 5, data: {lens.tolist()}}}\n"
+    )
+    source = open_source(tmp_path)
+    frame = source[0]
+    expected = cv2.undistort(image, matrix, lens)[..., ::-1]
+    assert np.abs(frame.color.astype(int) - expected).max() <= 2
+    map_u, map_v = cv2.initUndistortRectifyMap(matrix, lens, None, matrix, (WIDTH, HEIGHT), cv2.CV_32FC1)
+    nearest = cv2.remap(units, map_u, map_v, cv2.INTER_NEAREST) / 1000
+    assert (np.abs(frame.depth - nearest) < 1e-6).mean() > 0.98
+    assert "colour and depth are undistorted" in source.notes[0]
+
+
 # --- Azure Kinect ---
 
 

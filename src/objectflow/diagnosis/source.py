@@ -60,14 +60,9 @@ def read_pair(source: FrameSource, pair: tuple[int, int] | None = None) -> ReadP
     raise ReaderError(f"the source has {count} frame{'s' * (count != 1)}: a pair needs two")
 
 
-def examine_source(source: FrameSource, notes: Sequence[str] = ()) -> list[Finding]:
-    """Check the times of all frames, and a sample of them for repeated images.
-
-    Args:
-        source: the frames.
-        notes: corrections that the reader made; each becomes a finding.
-    """
-    findings = [Finding("source", "note", note) for note in notes]
+def examine_source(source: FrameSource) -> list[Finding]:
+    """Check the times of all frames and a sample of the images; each note of the reader becomes a finding."""
+    findings = [Finding("source", "note", note) for note in source.notes]
     return [*findings, _check_times(source), *_check_images(source)]
 
 

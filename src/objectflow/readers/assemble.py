@@ -92,10 +92,9 @@ def assemble(
         if depth_size != color_size:
             steps.append(DepthAtColor(depth_size))
             said.append(_resized_note(color_size, depth_size, image))
-        lens = setup.lens
-        if lens is not None:
-            steps.append(Rectification(lens, camera))
-            said.append(f"colour and depth are undistorted ({lens.model} lens)")
+        if setup.lens is not None:
+            steps.append(Rectification(setup.lens, camera))
+            said.append(f"colour and depth are undistorted ({setup.lens.model} lens)")
     if layout.ray_length:
         steps.append(PlanarDepth(camera))
     if setup.note:

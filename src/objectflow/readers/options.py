@@ -12,8 +12,7 @@ from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.readers.camera_files import find_camera_file, read_camera_file
 from objectflow.readers.camera_values import CameraValues, check_upright
-from objectflow.readers.lens import Lens, make_lens
-from objectflow.storage.image_files import read_size
+from objectflow.readers.lens import Lens
 
 DEFAULT_DEPTH_SCALE = 1000.0
 """Default units per metre of integer depth; most depth cameras write millimetres."""
@@ -33,24 +32,15 @@ class CameraSetup(NamedTuple):
         camera: of the images.
         depth_scale: units per metre of integer depth.
         float_depth_scale: units per metre of floating-point depth.
-        values: the camera file's content, for its distortion; None without a file.
+        lens: the distortion of the images; None where there is none.
         note: what the camera file was taken to mean; empty where that is clear.
     """
 
     camera: Camera
     depth_scale: float
     float_depth_scale: float = 1.0
-    values: CameraValues | None = None
+    lens: Lens | None = None
     note: str = ""
-
-    @property
-    def lens(self) -> Lens | None:
-        """The distortion of the images by the camera file; None without one.
-
-        Raises:
-            CameraError: a distortion model that is not known.
-        """
-        return make_lens(self.values.distortion_model, self.values.distortion) if self.values else None
 
 
 @dataclass(frozen=True)
@@ -102,18 +92,20 @@ class CameraOptions:
         """Whether the caller gives a camera."""
         return self.camera_file is not None or self.intrinsics is not None
 
-    def resolve(
+    def fit(
         self,
+        size: tuple[int, int],
         folder: Path,
-        first_image: Path,
+        image: str = "the image",
         default_scale: float = DEFAULT_DEPTH_SCALE,
         default_camera: CameraValues | None = None,
     ) -> CameraSetup:
-        """Find the camera of a folder of images.
+        """Find the camera of images of one size.
 
         Args:
+            size: (width, height) of the images, which the camera must have.
             folder: may hold a camera file.
-            first_image: an image of the source, whose size the camera must have.
+            image: an image of the source, for messages.
             default_scale: units per metre of integer depth if neither the caller nor the file sets them.
             default_camera: the camera of the layout, if neither the caller nor a file gives one.
 
@@ -123,17 +115,6 @@ class CameraOptions:
             CameraError: invalid intrinsics.
             FrameError: invalid depth scale.
         """
-        return self.fit(read_size(first_image), folder, str(first_image), default_scale, default_camera)
-
-    def fit(
-        self,
-        size: tuple[int, int],
-        folder: Path,
-        image: str = "the image",
-        default_scale: float = DEFAULT_DEPTH_SCALE,
-        default_camera: CameraValues | None = None,
-    ) -> CameraSetup:
-        """The camera of images of a size (width, height); other arguments and errors as for `resolve`."""
         if self.camera_file is not None and self.intrinsics is not None:
             raise ReaderError("both a camera file and intrinsics are given: leave one out")
         if self.depth_scale is not None:
@@ -156,7 +137,8 @@ class CameraOptions:
                 f"but {image} is {width}x{height}: give the intrinsics of that size"
             )
         scale = self.depth_scale or (values and values.depth_scale) or default_scale
-        return CameraSetup(camera, scale, self.depth_scale or 1.0, values, values.note if values else "")
+        lens, note = (None, "") if values is None else (values.lens(where), values.note)
+        return CameraSetup(camera, scale, self.depth_scale or 1.0, lens, note)
 
     def _is_named(self) -> bool:
         return (
