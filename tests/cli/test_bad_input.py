@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -227,15 +228,16 @@ def test_errors_in_a_shell(module: bool, tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["empty"]
 
 
-def test_a_terminated_estimate_leaves_no_files(tmp_path: Path) -> None:
-    """SIGTERM arrives while the result is written."""
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_terminated_estimate_leaves_no_files(tmp_path: Path, number: int) -> None:
+    """The signal arrives while the result is written."""
     code = (
-        "import os, signal, sys; from objectflow.cli import estimate, main; "
-        "estimate.write_result = lambda *_: os.kill(os.getpid(), signal.SIGTERM); sys.exit(main())"
+        "import os, sys; from objectflow.cli import estimate, main; "
+        f"estimate.write_result = lambda *_: os.kill(os.getpid(), {int(number)}); sys.exit(main())"
     )
     command = [sys.executable, "-c", code, "estimate", str(PAIR), "--method", "zero", "--out", "deep/result"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (143, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
     assert os.listdir(tmp_path) == []
 
 

@@ -15,8 +15,10 @@ from helpers.paths import SHARED
 from objectflow import cli
 from objectflow.diagnosis import examine
 from objectflow.diagnosis.registration import estimate_offset
+from objectflow.diagnosis.settings import DiagnosisSettings
 from objectflow.frame import RgbdFrame
 from objectflow.readers import CameraOptions, open_source
+from objectflow.settings import build
 
 DATA = SHARED / "data"
 
@@ -40,6 +42,29 @@ def test_a_wrong_depth_scale_is_found() -> None:
     for factor in (0.1, 10.0):
         frames = [dataclasses.replace(f, depth=f.depth * np.float32(factor)) for f in (scene.prev, scene.curr)]
         assert "depth units" in suspicious(*frames)
+
+
+def test_the_thresholds_of_the_checks_are_settings() -> None:
+    scene = pair()
+    far = [dataclasses.replace(f, depth=f.depth * np.float32(10)) for f in (scene.prev, scene.curr)]
+    settings = build(DiagnosisSettings, {"depth.max_median_depth": "20", "registration.min_edges": str(10**6)})
+    findings = {finding.check: finding for finding in examine(*far, settings=settings)}
+    assert findings["depth units"].level == "fine"
+    assert "too few depth edges" in findings["registration"].text
+
+
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("depth.max_median=3", "unknown setting depth.max_median: did you mean depth.max_median_depth? choose one of"),
+        ("width=3", "setting width must be at least 16, not 3"),
+    ],
+)
+def test_a_wrong_setting_of_the_checks_is_named(word: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["check-pair", "missing", "--set", word]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert message in lines[0]
 
 
 @pytest.mark.parametrize("shift", [(6, 0), (-5, 3), (0, 7)])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -59,3 +62,48 @@ def test_jobs_are_drawn_only_a_few_ahead_of_the_results() -> None:
     for expected in range(20):
         assert next(results) == expected
         assert len(drawn) <= expected + 1 + 2 * MAX_AHEAD
+
+
+class Sleeper:
+    """Writes its worker's number to a file, then works for longer than any test."""
+
+    def __call__(self, path: str) -> None:
+        Path(path).write_text(str(os.getpid()))
+        time.sleep(600)
+
+
+def make_sleeper() -> Callable[[str], None]:
+    return Sleeper()
+
+
+def hold_a_pool(path: str) -> None:
+    list(make_pool(make_sleeper, 2).run([path]))
+
+
+def test_busy_workers_end_with_a_killed_parent(tmp_path: Path) -> None:
+    file = tmp_path / "worker"
+    parent = multiprocessing.get_context("spawn").Process(target=hold_a_pool, args=(str(file),))
+    parent.start()
+    worker = int(waited(lambda: file.is_file() and file.read_text()))
+    parent.kill()
+    parent.join()
+    assert waited(lambda: not runs(worker))
+
+
+def waited(condition: Callable[[], str | bool]) -> str | bool:
+    """The first true value of a condition within a minute."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        value = condition()
+        if value:
+            return value
+        time.sleep(0.05)
+    return False
+
+
+def runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+        return "Z" not in Path(f"/proc/{process}/stat").read_text().split(")")[1]
+    except (ProcessLookupError, FileNotFoundError):
+        return False

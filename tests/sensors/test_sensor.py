@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -182,6 +183,58 @@ def test_stereo_noise_is_the_published_formula() -> None:
         assert float((seen - z).std()) == pytest.approx(expected, rel=0.15)
 
 
+def test_noisy_stereo_has_the_measured_difference_between_two_frames() -> None:
+    depth, color = wall(1.5).expand(8, -1, -1), torch.rand(8, 3, HEIGHT, WIDTH, generator=generator(3))
+    seen = observe_depth(depth, color.double(), INTRINSICS.repeat(8, 1), SENSORS["noisy-stereo"], generator())
+    both = (seen[::2] > 0) & (seen[1::2] > 0)
+    difference = (seen[::2] - seen[1::2]).abs()[both]
+    assert float(difference.median()) == pytest.approx(0.014, rel=0.15)
+    assert float(difference.quantile(0.9)) == pytest.approx(0.046, rel=0.15)
+    # Twice as far, the errors of disparity are four times as large in depth.
+    near = observe_depth(depth / 2, color.double(), INTRINSICS.repeat(8, 1), SENSORS["noisy-stereo"], generator())
+    closer = (near[::2] - near[1::2]).abs()[(near[::2] > 0) & (near[1::2] > 0)]
+    assert float(difference.median() / closer.median()) == pytest.approx(4, rel=0.15)
+
+
+def test_noise_in_patches_is_correlated_further_than_the_window() -> None:
+    def correlation(sensor: Stereo, apart: int) -> float:
+        error = 1 / observe_depth(wall(1.0), grey(), INTRINSICS, sensor, generator()) - 1.0
+        pairs = torch.stack([error[:, :, :-apart].flatten(), error[:, :, apart:].flatten()])
+        return float(torch.corrcoef(pairs)[0, 1])
+
+    assert abs(correlation(Stereo(steps=1e4), 8)) < 0.1
+    # A moving average over 2 r + 1 pixels has the correlation 1 - d / (2 r + 1) at the distance d.
+    patches = Stereo(steps=1e4, patch=10, patch_share=1.0)
+    assert correlation(patches, 8) == pytest.approx(1 - 8 / 21, abs=0.1)
+
+
+def test_foreground_grows_by_the_fattening() -> None:
+    depth = box(0.5, 1.0, 60, 100)
+    scale = FOCAL / 640
+    exact = Stereo(disparity_sigma=0.0, wobble=0.0, edge_loss=0.0, steps=1e4)
+    fat = Stereo(disparity_sigma=0.0, wobble=0.0, edge_loss=0.0, steps=1e4, fattening=2 / scale)
+    grown = [
+        float(
+            (
+                observe_depth(depth, grey(), INTRINSICS, sensor, generator())[:, 50:70, 90:130].sub(0.5).abs() < 0.01
+            ).sum()
+        )
+        for sensor in (exact, fat)
+    ]
+    assert (grown[1] - grown[0]) / 20 == pytest.approx(2, abs=0.7)
+    torch.testing.assert_close(
+        observe_depth(slanted(50), grey(), INTRINSICS, fat, generator()), slanted(50), rtol=1e-3, atol=0
+    )
+
+
+def test_holes_lie_on_surfaces_without_texture() -> None:
+    textured = torch.rand(1, 3, HEIGHT, WIDTH, generator=generator(3), dtype=torch.float64)
+    sensor = Stereo(hole_loss=0.3, patch=4)
+    for color, share in ((grey(), 0.3), (textured, 0.0)):
+        seen = observe_depth(wall(0.7), color, INTRINSICS, sensor, generator())
+        assert float((seen == 0).double().mean()) == pytest.approx(share, abs=0.06)
+
+
 def test_passive_stereo_needs_texture_and_active_does_not() -> None:
     textured = torch.rand(1, 3, HEIGHT, WIDTH, generator=generator(3), dtype=torch.float64)
     for active, color, low, high in ((True, grey(), 0, 0.02), (False, grey(), 0.9, 1), (False, textured, 0, 0.1)):
@@ -225,6 +278,21 @@ def test_frames_of_a_pair_share_the_camera_but_not_the_noise() -> None:
     torch.testing.assert_close(means[0], means[1], atol=2e-3, rtol=0)
     assert (means[0] - means[2]).abs().max() > 0.02
     assert not torch.equal(seen[0], seen[1])
+
+
+def test_exposure_balance_and_gamma_of_each_frame_have_their_spread() -> None:
+    still = ColorSensor(exposure=0.0, balance=0.0, blur=(0, 0), gain=(0, 0), read=(0, 0))
+    color = grey(0.4)[:, :, :8, :8].expand(4000, -1, -1, -1)
+    brighter = observe_color(color, dataclasses.replace(still, frame_exposure=0.2), generator(), images_each=2)
+    stops = torch.log2((brighter[:, 1, 0, 0] / 0.4) ** 2.2)
+    assert float(stops.std()) == pytest.approx(0.2, rel=0.06)
+    assert float((stops[::2] - stops[1::2]).std()) == pytest.approx(0.2 * math.sqrt(2), rel=0.06)
+    tinted = observe_color(color, dataclasses.replace(still, frame_balance=0.1), generator(), images_each=2)
+    assert float(((tinted[:, 0, 0, 0] / 0.4) ** 2.2).log().std()) == pytest.approx(0.1, rel=0.08)
+    torch.testing.assert_close(tinted[:, 1], color[:, 1], atol=1 / 255, rtol=0)
+    curved = observe_color(color, dataclasses.replace(still, frame_gamma=0.1), generator(), images_each=2)
+    exponents = curved[:, 0, 0, 0].log() / math.log(0.4)
+    assert float(exponents.log().std()) == pytest.approx(0.1, rel=0.08)
 
 
 def test_observe_keeps_images_without_a_sensor_exact() -> None:

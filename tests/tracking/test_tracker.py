@@ -12,10 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from objectflow import geometry
-from objectflow.errors import FrameError
+from objectflow.errors import FrameError, SettingsError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.settings import build
 from objectflow.tracking.tracker import Tracker, TrackerSettings, footprint_overlap
 from objectflow.tracking.trajectory_files import tum_lines, write_tracks
 from objectflow.typing import Float64Array
@@ -193,9 +194,17 @@ def test_footprint_overlap() -> None:
     v, u = np.mgrid[0:40, 0:40]
     plate = geometry.back_project(np.ones((120, 160), np.float32), CAMERA)[v, u].reshape(-1, 3).astype(np.float64)
     half = plate + np.array([20 / 150, 0, 0])
-    assert footprint_overlap(plate, plate, CAMERA) == 1
-    assert abs(footprint_overlap(plate, half, CAMERA) - 1 / 3) < 0.08
-    assert footprint_overlap(plate, plate + np.array([1, 0, 0]), CAMERA) == 0
+    assert footprint_overlap(plate, plate, CAMERA, 64) == 1
+    assert abs(footprint_overlap(plate, half, CAMERA, 64) - 1 / 3) < 0.08
+    assert footprint_overlap(plate, plate + np.array([1, 0, 0]), CAMERA, 64) == 0
+    assert footprint_overlap(plate, half, CAMERA, 1) == 1  # one cell
+
+
+def test_invalid_settings_are_named() -> None:
+    with pytest.raises(SettingsError, match="setting history must be at least 1, not 0"):
+        TrackerSettings(history=0)
+    with pytest.raises(SettingsError, match=r"unknown setting cells: choose one of min_overlap, .*, footprint_cells"):
+        build(TrackerSettings, {"cells": 32})
 
 
 def test_files(tmp_path: Path) -> None:

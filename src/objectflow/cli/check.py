@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import tyro
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import SourceArguments, option
 from objectflow.cli.check_set import check_set, is_set
 from objectflow.cli.findings import print_findings, verdict
 from objectflow.diagnosis import draw_depth_edges, examine, examine_source, read_pair
+from objectflow.diagnosis.settings import DiagnosisSettings
 from objectflow.errors import CheckError, DatasetError
 from objectflow.readers import CutOffWarning
 from objectflow.runtime.quiet import silence_stderr
+from objectflow.settings import build, parse_assignments
 from objectflow.storage import files
 from objectflow.storage.images import encode_png
 
@@ -46,6 +49,9 @@ class Check(SourceArguments):
     picture: Annotated[Path | None, option("FILE.png", "none")] = None
     """Picture to write: the depth edges of the second frame over its colour."""
 
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], option("PATH=VALUE", "none")] = ()
+    """A threshold of the checks, such as depth.max_median_depth=20; may be repeated."""
+
     strict: bool = False
     """Exit with code 1 if anything in a source is suspicious."""
 
@@ -64,11 +70,13 @@ class Check(SourceArguments):
             return
         if self.limit is not None or self.json:
             raise DatasetError(f"{self.source}: --limit and --json are for data sets: there is no manifest.json")
+        settings = build(DiagnosisSettings, parse_assignments(self.set))
         with silence_stderr(), warnings.catch_warnings():
             warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
             source = self.open_path(self.source)
-            pair = read_pair(source, self.pair)
-            findings = [*examine_source(source), *examine(pair.prev, pair.curr)]
+            pair = read_pair(source, self.pair, settings=settings.source)
+            findings = examine_source(source, settings=settings.source)
+            findings += examine(pair.prev, pair.curr, settings=settings)
         if self.picture is not None:
             files.write_bytes(self.picture, encode_png(draw_depth_edges(pair.curr)))
         print(f"{self.source}: {len(source)} frames, {source.camera}; frames {pair.prev_index} and {pair.curr_index}:")

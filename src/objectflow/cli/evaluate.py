@@ -66,7 +66,8 @@ class Evaluate:
     """The camera option of all methods; METHOD:camera=... sets it for one method."""
 
     sensor: Annotated[str | None, option("NAME", "exact frames")] = None
-    """Add the noise of a camera to a generated set: structured-light, time-of-flight, stereo or passive-stereo."""
+    """Add the noise of a camera to a generated set: structured-light, time-of-flight, stereo,
+    passive-stereo or noisy-stereo."""
 
     translation_only: Annotated[tuple[str, ...], option("NAME...", "none")] = ()
     """Names of real objects whose true rotation is too inaccurate for scoring."""

@@ -25,7 +25,7 @@ EXAMPLES = """\
   objectflow generate --out unseen --preset clutter --split test --pairs 40 --mesh-folder meshes --every-mesh
 """
 
-CLUTTER = "clutter"
+CLUTTER, TABLETOP = "clutter", "tabletop"
 _RENAMED_PRESETS = {"wild": CLUTTER}
 """Former names of presets, which are still accepted."""
 
@@ -60,7 +60,8 @@ class Generate:
     preset: str = "paper"
     """paper (1-30 falling objects, 320x240), small (1-6 objects, 160x120), or clutter: 1-20 objects on tables, on
     floors or in bins, of which 0-8 move in various ways; some cameras move; 3 to 60 frames of 60 Hz between the two
-    frames of a pair."""
+    frames of a pair; tabletop: 1-12 objects, many of them food packages, mostly on plain light tables, with hands that
+    move them, hard shadows, light and exposure that change between the frames, at distances of 0.15 to 4 m."""
 
     workers: int = max(1, os.cpu_count() or 1)
     """Number of processes on this machine."""
@@ -86,11 +87,16 @@ class Generate:
     every_mesh: bool = False
     """Use all meshes of the folder in any split: for a test set of shapes that are in no training set."""
 
+    mesh_hulls: bool = False
+    """Use the convex hull of each mesh in collisions: faster to prepare, but objects cannot lie in hollow ones."""
+
     texture_folder: Path | None = None
-    """Images for half of the floors; in clutter scenes also for furniture, walls and some objects."""
+    """Images for half of the floors; in clutter and tabletop scenes also for furniture, walls and some
+    objects."""
 
     def run(self) -> None:
         """Make the missing shards, with a progress bar."""
+        from objectflow.synth.generation.credits import write_credits
         from objectflow.synth.generation.generate import generate
         from objectflow.synth.generation.jobs import GenerationJob
         from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
@@ -99,11 +105,11 @@ class Generate:
             raise DatasetError("nothing to generate: give --pairs N or --sequences N")
         if self.views < 1 or self.workers < 1:
             raise DatasetError("--views and --workers must be at least 1")
-        if self.mesh_folder is None and (self.mesh_share != 1 or self.every_mesh):
-            raise DatasetError("--mesh-share and --every-mesh are about meshes: give --mesh-folder DIR")
+        if self.mesh_folder is None and (self.mesh_share != 1 or self.every_mesh or self.mesh_hulls):
+            raise DatasetError("--mesh-share, --every-mesh and --mesh-hulls are about meshes: give --mesh-folder DIR")
         preset = _RENAMED_PRESETS.get(self.preset, self.preset)
-        if preset == CLUTTER and self.sequences:
-            raise DatasetError("the preset clutter makes pairs: leave --sequences out")
+        if preset in (CLUTTER, TABLETOP) and self.sequences:
+            raise DatasetError(f"the preset {preset} makes pairs: leave --sequences out")
         scenes = self._make_scenes(preset)
         jobs = []
         if self.pairs:
@@ -139,6 +145,8 @@ class Generate:
         if manifest is None:
             console.print(f"{self.out}: the shards of this run are done; other runs of the queue are unfinished")
             return
+        if self.mesh_folder is not None and write_credits(self.out, self.mesh_folder, manifest):
+            console.print(f"{self.out}: credits.json names the authors and licences of the meshes")
         for name, part in manifest.parts.items():
             rejected = ", ".join(f"{count} {reason}" for reason, count in part.rejected.items()) or "none"
             console.print(f"{self.out}: {name}: {part.rows} rows in {len(part.shards)} shards; rejected: {rejected}")
@@ -147,12 +155,14 @@ class Generate:
         """The factory of the preset's scenes."""
         from objectflow.synth.generation.clutter_maker import ClutterScenes
         from objectflow.synth.generation.paper_maker import PaperScenes
+        from objectflow.synth.generation.tabletop_maker import TabletopScenes
         from objectflow.synth.objects.mixed_library import MeshFolder
         from objectflow.synth.scenes.clutter_scene import ClutterSettings
+        from objectflow.synth.scenes.tabletop_scene import TabletopSettings
 
         meshes = None
         if self.mesh_folder is not None:
-            meshes = MeshFolder(self.mesh_folder, self.mesh_share, self.every_mesh)
+            meshes = MeshFolder(self.mesh_folder, self.mesh_share, self.every_mesh, self.mesh_hulls)
         common: dict[str, Any] = {
             "seed": self.seed,
             "split": self.split,
@@ -166,6 +176,8 @@ class Generate:
         settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
         if preset == CLUTTER:
             return ClutterScenes(settings=ClutterSettings(settings), **common)
+        if preset == TABLETOP:
+            return TabletopScenes(settings=TabletopSettings(settings), **common)
         return PaperScenes(settings=settings, **common)
 
     def _open_pool(self, scenes: Any) -> Any:
@@ -184,10 +196,11 @@ class Generate:
         """
         more: dict[str, Any] = {} if self.mesh_share == 1 else {"mesh_share": self.mesh_share}
         more |= {"every_mesh": True} if self.every_mesh else {}
+        more |= {"mesh_hulls": True} if self.mesh_hulls else {}
         scene = settings
-        if preset == CLUTTER:
+        if preset in (CLUTTER, TABLETOP):
             scene = settings.scene
-            more[CLUTTER] = {key: value for key, value in _json_values(settings).items() if key != "scene"}
+            more[preset] = {key: value for key, value in _json_values(settings).items() if key != "scene"}
         return {
             "preset": preset,
             **more,
@@ -208,8 +221,14 @@ class Generate:
 
 
 def _json_values(settings: Any) -> dict[str, Any]:
-    """The fields of a settings dataclass, tuples as lists."""
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(settings).items()}
+    """The fields of a settings dataclass as JSON has them: tuples as lists, nested settings as dictionaries."""
+
+    def plain(value: Any) -> Any:
+        if dataclasses.is_dataclass(value):
+            return _json_values(value)
+        return list(value) if isinstance(value, tuple) else value
+
+    return {key: plain(value) for key, value in vars(settings).items()}
 
 
 def preset_settings(name: str) -> Any:
@@ -218,13 +237,14 @@ def preset_settings(name: str) -> Any:
     Raises:
         DatasetError: an unknown name.
     """
-    from objectflow.synth.scenes.clutter_scene import SCENE
+    from objectflow.synth.scenes import clutter_scene, tabletop_scene
     from objectflow.synth.scenes.paper_scene import SceneSettings
 
     presets = {
         "paper": SceneSettings(),
         "small": SceneSettings(objects=(1, 6), width=160, height=120, focal=(118.23, 118.23)),
-        CLUTTER: SCENE,
+        CLUTTER: clutter_scene.SCENE,
+        TABLETOP: tabletop_scene.SCENE,
     }
     if name not in presets:
         raise DatasetError(f"unknown preset {name!r}: choose one of {', '.join(presets)}")

@@ -84,6 +84,19 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
+def read_models(path: Path) -> set[str]:
+    """The names of the models in the object tables of a shard; no image is read.
+
+    Raises:
+        DatasetError: not a Parquet file, or a broken one.
+    """
+    try:
+        column = _open(path).read(columns=["objects.list.element.model"]).column("objects")
+    except (pa.ArrowException, OSError) as error:
+        raise DatasetError(f"{path}: broken: {error}: remove it and generate it again") from error
+    return {entry["model"] for entry in column.combine_chunks().flatten().to_pylist()}
+
+
 class Shards(Sequence[Row], Generic[Row]):
     """The rows of one part of a data set, by number; files are opened when they are first needed.
 

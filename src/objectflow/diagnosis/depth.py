@@ -6,43 +6,37 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.diagnosis.finding import Finding
+from objectflow.diagnosis.settings import DepthCheckSettings
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.typing import Float64Array
 
-MIN_MEDIAN_DEPTH, MAX_MEDIAN_DEPTH = 0.15, 6.0
-"""Plausible range of a frame's median depth over a table or in a room, metres."""
-MAX_MISSING_SHARE = 0.35
-"""Share of pixels without depth, 0..1, above which masks and motions degrade."""
-MIN_DISTINCT_DEPTHS = 100
-"""Smallest plausible number of distinct depths in a frame; 8-bit or lossy images have fewer."""
 
-
-def check_range(frame: RgbdFrame, name: str) -> Finding:
+def check_range(frame: RgbdFrame, name: str, settings: DepthCheckSettings) -> Finding:
     """Check the depth scale by the median depth."""
     median = float(np.median(frame.depth[frame.valid]))
     text = f"{name}: the median depth is {median:.3g} m"
-    if median < MIN_MEDIAN_DEPTH:
+    if median < settings.min_median_depth:
         return Finding("depth units", "suspicious", f"{text}: is the depth scale too large?")
-    if median > MAX_MEDIAN_DEPTH:
+    if median > settings.max_median_depth:
         return Finding("depth units", "suspicious", f"{text}: is the depth scale too small (5000 for TUM recordings)?")
     return Finding("depth units", "fine", text)
 
 
-def check_holes(frame: RgbdFrame, name: str) -> Finding:
+def check_holes(frame: RgbdFrame, name: str, settings: DepthCheckSettings) -> Finding:
     """Check the share of pixels without depth."""
     share = 1 - float(frame.valid.mean())
     text = f"{name}: {share:.0%} of the pixels have no depth"
-    if share > MAX_MISSING_SHARE:
+    if share > settings.max_missing_share:
         return Finding("holes", "suspicious", f"{text}: stay within the camera's range and avoid shiny surfaces")
     return Finding("holes", "fine", text)
 
 
-def check_steps(frame: RgbdFrame, name: str) -> Finding:
+def check_steps(frame: RgbdFrame, name: str, settings: DepthCheckSettings) -> Finding:
     """Check the resolution of depth by the number of distinct values."""
     count = len(np.unique(frame.depth[frame.valid]))
     text = f"{name}: {count} distinct depths"
-    if count < MIN_DISTINCT_DEPTHS and np.ptp(frame.depth[frame.valid]) > 0.05:
+    if count < settings.min_distinct_depths and np.ptp(frame.depth[frame.valid]) > 0.05:
         return Finding("depth steps", "suspicious", f"{text}: store depth as a 16-bit PNG, not as an 8-bit picture")
     return Finding("depth steps", "fine", text)
 

@@ -13,24 +13,25 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.diagnosis import depth as depth_checks
 from objectflow.diagnosis.finding import Finding
 from objectflow.diagnosis.registration import edge_alignment, estimate_offset
+from objectflow.diagnosis.settings import DiagnosisSettings, RegistrationCheckSettings
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.methods import moving_camera
 from objectflow.typing import BoolMask, Float64Array
 
-MAX_WIDTH = 640
-"""Wider frames are downscaled to this width, pixels; offsets are reported in original pixels."""
-MIN_GAIN, MIN_PROMINENCE = 1.12, 4.0
-"""Thresholds above which a depth offset is accepted; see `registration.Offset`."""
+DEFAULTS = DiagnosisSettings()
 
 
-def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]:
+def examine(
+    prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0, settings: DiagnosisSettings = DEFAULTS
+) -> list[Finding]:
     """Check two frames for common input errors.
 
     Args:
         prev, curr: the frames.
         seed: of the random samples.
+        settings: see there.
 
     Returns:
         One finding per check, in a fixed order; suspicious findings state a remedy.
@@ -39,18 +40,18 @@ def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]
         FrameError: the frames differ in size or intrinsics.
     """
     check_pair(prev, curr)
-    scale = max(1.0, prev.camera.width / MAX_WIDTH)
-    prev, curr = prev.downscaled_to_width(MAX_WIDTH), curr.downscaled_to_width(MAX_WIDTH)
+    scale = max(1.0, prev.camera.width / settings.width)
+    prev, curr = prev.downscaled_to_width(settings.width), curr.downscaled_to_width(settings.width)
     rng = np.random.default_rng(seed)
     findings = [depth_checks.check_field_of_view(curr.camera)]
     for frame, name in ((prev, "previous"), (curr, "current")):
         findings += [
-            depth_checks.check_range(frame, name),
-            depth_checks.check_holes(frame, name),
-            depth_checks.check_steps(frame, name),
+            depth_checks.check_range(frame, name, settings.depth),
+            depth_checks.check_holes(frame, name, settings.depth),
+            depth_checks.check_steps(frame, name, settings.depth),
             depth_checks.check_planar(frame, name, rng),
         ]
-    findings.append(check_registration(prev, curr, scale))
+    findings.append(check_registration(prev, curr, scale, settings.registration))
     identical = check_identical(prev, curr)
     findings.append(identical)
     if identical.level == "fine":
@@ -62,19 +63,20 @@ def examine(prev: RgbdFrame, curr: RgbdFrame, *, seed: int = 0) -> list[Finding]
     return findings
 
 
-def check_registration(prev: RgbdFrame, curr: RgbdFrame, scale: float = 1.0) -> Finding:
+def check_registration(prev: RgbdFrame, curr: RgbdFrame, scale: float, settings: RegistrationCheckSettings) -> Finding:
     """Check that depth is registered to colour; both frames must agree, as texture may mislead a single frame.
 
     Args:
         prev, curr: the frames.
         scale: original pixels per pixel of the frames, for the message.
+        settings: thresholds.
     """
-    offsets = [estimate_offset(frame) for frame in (prev, curr)]
+    offsets = [estimate_offset(frame, settings) for frame in (prev, curr)]
     if offsets[0] is None or offsets[1] is None:
         return Finding("registration", "note", "too few depth edges to tell whether depth is registered to colour")
     a, b = offsets[0], offsets[1]
     agree = abs(a.du - b.du) <= 2 and abs(a.dv - b.dv) <= 2
-    clear = min(a.gain, b.gain) > MIN_GAIN and min(a.prominence, b.prominence) > MIN_PROMINENCE
+    clear = min(a.gain, b.gain) > settings.min_gain and min(a.prominence, b.prominence) > settings.min_prominence
     du, dv = scale * (a.du + b.du) / 2, scale * (a.dv + b.dv) / 2
     if agree and clear and np.hypot(du, dv) >= 2 * scale:
         text = (

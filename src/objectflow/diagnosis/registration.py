@@ -7,11 +7,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from objectflow.diagnosis.settings import RegistrationCheckSettings
 from objectflow.frame import RgbdFrame
 from objectflow.typing import BoolMask, Float32Array, IndexArray, UInt8Array
 
-MIN_EDGES = 150
-"""Minimum number of pixels on depth edges for an estimate."""
+DEFAULTS = RegistrationCheckSettings()
 
 
 class Offset(NamedTuple):
@@ -29,20 +29,20 @@ class Offset(NamedTuple):
     prominence: float
 
 
-def estimate_offset(frame: RgbdFrame, *, max_shift: float = 0.04) -> Offset | None:
+def estimate_offset(frame: RgbdFrame, settings: RegistrationCheckSettings = DEFAULTS) -> Offset | None:
     """Find the shift of depth that maximises the colour gradient on the depth edges.
 
     Args:
         frame: colour and depth to compare.
-        max_shift: search range, as a share of the image width.
+        settings: `min_edges` and `max_shift` apply.
 
     Returns:
         The best shift, or None if there are too few depth edges.
     """
-    limit = max(3, round(max_shift * frame.camera.width))
+    limit = max(3, round(settings.max_shift * frame.camera.width))
     gradients = _color_gradients(frame.color)
     edges = [_inner(edge, limit) for edge in find_depth_edges(frame.depth)]
-    if sum(len(rows) for rows, _ in edges) < MIN_EDGES:
+    if sum(len(rows) for rows, _ in edges) < settings.min_edges:
         return None
     shifts = np.arange(-limit, limit + 1)
     score = np.zeros((len(shifts), len(shifts)))

@@ -8,16 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from objectflow.diagnosis.finding import Finding
+from objectflow.diagnosis.settings import SourceCheckSettings
 from objectflow.errors import FrameError, ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.readers import FrameSource
 
-SAMPLES = 8
-"""Number of consecutive pairs of frames that are compared for repeated images."""
-MIN_GAP = 0.3
-"""Smallest time between the two frames that are examined, seconds; without times they are consecutive."""
-LARGE_GAP = 5.0
-"""Time between two frames that is reported as a gap, in median periods."""
+DEFAULTS = SourceCheckSettings()
 
 
 class ReadPair(NamedTuple):
@@ -29,12 +25,15 @@ class ReadPair(NamedTuple):
     curr: RgbdFrame
 
 
-def read_pair(source: FrameSource, pair: tuple[int, int] | None = None) -> ReadPair:
+def read_pair(
+    source: FrameSource, pair: tuple[int, int] | None = None, *, settings: SourceCheckSettings = DEFAULTS
+) -> ReadPair:
     """Read the two frames to examine.
 
     Args:
         source: the frames.
         pair: their numbers; None for two frames that can be read, from the middle of the source on.
+        settings: see there.
 
     Raises:
         ReaderError: a number is not that of a frame, or fewer than two frames can be read.
@@ -49,7 +48,7 @@ def read_pair(source: FrameSource, pair: tuple[int, int] | None = None) -> ReadP
     errors: list[ReaderError | FrameError] = []
     first = _find_readable(source, [*range(middle, count), *reversed(range(middle))], errors)
     if first is not None:
-        apart = [index for index in range(first[0] + 1, count) if _is_apart(source, first[0], index)]
+        apart = [index for index in range(first[0] + 1, count) if _is_apart(source, first[0], index, settings)]
         near = [index for index in range(first[0] + 1, count) if index not in set(apart)]
         second = _find_readable(source, [*apart, *reversed(near), *reversed(range(first[0]))], errors)
         if second is not None:
@@ -60,10 +59,10 @@ def read_pair(source: FrameSource, pair: tuple[int, int] | None = None) -> ReadP
     raise ReaderError(f"the source has {count} frame{'s' * (count != 1)}: a pair needs two")
 
 
-def examine_source(source: FrameSource) -> list[Finding]:
+def examine_source(source: FrameSource, *, settings: SourceCheckSettings = DEFAULTS) -> list[Finding]:
     """Check the times of all frames and a sample of the images; each note of the reader becomes a finding."""
     findings = [Finding("source", "note", note) for note in source.notes]
-    return [*findings, _check_times(source), *_check_images(source)]
+    return [*findings, _check_times(source, settings), *_check_images(source, settings)]
 
 
 def _find_readable(
@@ -77,12 +76,12 @@ def _find_readable(
     return None
 
 
-def _is_apart(source: FrameSource, first: int, second: int) -> bool:
+def _is_apart(source: FrameSource, first: int, second: int, settings: SourceCheckSettings) -> bool:
     times = source.timestamp(first), source.timestamp(second)
-    return times[0] is None or times[1] is None or times[1] - times[0] >= MIN_GAP
+    return times[0] is None or times[1] is None or times[1] - times[0] >= settings.min_gap
 
 
-def _check_times(source: FrameSource) -> Finding:
+def _check_times(source: FrameSource, settings: SourceCheckSettings) -> Finding:
     times = [source.timestamp(index) for index in range(len(source))]
     known = np.array([time for time in times if time is not None])
     if len(known) < len(times) or len(known) < 2:
@@ -91,26 +90,27 @@ def _check_times(source: FrameSource) -> Finding:
     period = float(np.median(steps))
     text = f"{known[-1] - known[0]:.2f} s, one frame every {1000 * period:.0f} ms"
     forward = steps[steps > 0]
-    if period > 0 and len(forward) and forward.max() > LARGE_GAP * period:
+    if period > 0 and len(forward) and forward.max() > settings.large_gap * period:
         index = int(steps.argmax())
         text += f"; {forward.max():.2f} s between frames {index} and {index + 1}: frames are missing"
         return Finding("times", "note", text)
     return Finding("times", "fine", text)
 
 
-def _check_images(source: FrameSource) -> list[Finding]:
+def _check_images(source: FrameSource, settings: SourceCheckSettings) -> list[Finding]:
     """Compare consecutive frames, spread over the source."""
     count = len(source)
-    starts = np.unique(np.linspace(0, max(0, count - 2), min(SAMPLES, max(1, count - 1))).round().astype(int)).tolist()
+    number = min(settings.samples, max(1, count - 1))
+    starts = np.unique(np.linspace(0, max(0, count - 2), number).round().astype(int)).tolist()
     compared, repeated = 0, {"colour": 0, "depth": 0}
     errors: dict[int, ReaderError | FrameError] = {}
     for index in starts:
         pair: list[RgbdFrame] = []
-        for number in (index, index + 1):
+        for position in (index, index + 1):
             try:
-                pair.append(source[number])
+                pair.append(source[position])
             except (ReaderError, FrameError) as error:
-                errors[number] = error
+                errors[position] = error
         if len(pair) == 2:
             compared += 1
             repeated["colour"] += np.array_equal(pair[0].color, pair[1].color)

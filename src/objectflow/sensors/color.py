@@ -28,6 +28,12 @@ class ColorSensor:
     """Range of the shot noise variance at full signal, for a linear signal of 0..1."""
     read: tuple[float, float] = (0.0, 0.004)
     """Range of the standard deviation of the read noise, for a linear signal of 0..1."""
+    frame_exposure: float = 0.0
+    """Standard deviation of the change of the exposure of each image within a group, stops: automatic exposure."""
+    frame_balance: float = 0.0
+    """Standard deviation of the change of the natural logarithm of the red and blue gains of each image in a group."""
+    frame_gamma: float = 0.0
+    """Standard deviation of the natural logarithm of each image's exponent of display values."""
 
 
 def observe_color(color: Tensor, sensor: ColorSensor, generator: torch.Generator, images_each: int = 1) -> Tensor:
@@ -59,6 +65,12 @@ def observe_color(color: Tensor, sensor: ColorSensor, generator: torch.Generator
     exposure = torch.exp2(sensor.exposure * draw_normal())
     balance = torch.cat([draw_normal(), torch.zeros_like(exposure), draw_normal()], 1)
     linear = linear * each(exposure * torch.exp(sensor.balance * balance))
+    exponent = torch.ones((), device=color.device, dtype=color.dtype)
+    if max(sensor.frame_exposure, sensor.frame_balance, sensor.frame_gamma) > 0:
+        own = torch.randn(color.shape[0], 4, 1, 1, generator=generator, device=color.device, dtype=color.dtype)
+        tint = own[:, :3] * own.new_tensor([1.0, 0.0, 1.0])[:, None, None]
+        linear = linear * torch.exp2(sensor.frame_exposure * own[:, 1:2]) * torch.exp(sensor.frame_balance * tint)
+        exponent = torch.exp(sensor.frame_gamma * own[:, 3:])
     # 2. Lens blur.
     sigma = each(_within(sensor.blur, draw(1)))[:, 0]
     linear = _blur_each(linear, sigma)
@@ -66,7 +78,7 @@ def observe_color(color: Tensor, sensor: ColorSensor, generator: torch.Generator
     gain, read = each(_within(sensor.gain, draw(1, 1, 1))), each(_within(sensor.read, draw(1, 1, 1)))
     noise = torch.randn(color.shape, generator=generator, device=color.device, dtype=color.dtype)
     linear = (linear + noise * (gain * linear + read**2).sqrt()).clamp(0, 1)
-    return (linear ** (1 / 2.2) * 255).round() / 255
+    return (linear ** (exponent / 2.2) * 255).round() / 255
 
 
 def luminance(color: Tensor) -> Tensor:

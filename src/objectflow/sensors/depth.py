@@ -106,6 +106,16 @@ class Stereo:
     """Whether a pattern is projected; without one, surfaces without texture drop out."""
     texture: float = 0.01
     """Standard deviation of luminance in the window at which half of the pixels drop out without a pattern."""
+    patch: int = 0
+    """Radius of the patches over which a part of the errors is correlated by the matcher's smoothing, pixels."""
+    patch_share: float = 0.0
+    """Share of the noise variance that is correlated over patches, 0..1."""
+    unevenness: float = 0.0
+    """Standard deviation of the natural logarithm of the noise level, which varies over patches and between frames."""
+    fattening: float = 0.0
+    """Mean width by which foreground grows over background at depth steps, pixels of the sensor."""
+    hole_loss: float = 0.0
+    """Dropout probability, in patches, of surfaces without texture, although a pattern is projected."""
     near: float = 0.15
     """Minimum measured depth, metres."""
     far: float = 4.0
@@ -180,20 +190,54 @@ def stereo(depth: Tensor, luminance: Tensor, intrinsics: Tensor, sensor: Stereo,
     invalid = maps.occluded(inverse, pixel_metres) | (depth < sensor.near) | (depth > sensor.far)
     invalid |= _edge_dropout(step, pixel_metres, sensor.edge_loss, generator)
     if not sensor.active:
-        mean = _window_mean(luminance, sensor.window)
-        contrast = (_window_mean(luminance**2, sensor.window) - mean**2).clamp_min(0).sqrt()
-        invalid |= maps.draw_dropout(torch.sigmoid(4 * (1 - contrast / sensor.texture)), generator, sensor.window)
+        invalid |= maps.draw_dropout(_textureless(luminance, sensor), generator, sensor.window)
+    if sensor.hole_loss > 0:
+        holes = sensor.hole_loss * _textureless(luminance, sensor)
+        invalid |= maps.draw_dropout(holes, generator, max(sensor.patch, sensor.window))
 
-    # 2. The matching window displaces edges and correlates errors.
+    # 2. The matching window displaces edges, fattens the foreground and correlates errors.
     dx, dy = (maps.normal_noise(depth, generator, sensor.window) * sensor.wobble * scale for _ in range(2))
     displaced = maps.shift_surface(inverse, slope_x, slope_y, dx, dy)
     near_edge = maps.dilate(step * pixel_metres[:, None, None] > 1, sensor.window) > 0
     inverse = torch.where(near_edge, displaced, inverse)
+    if sensor.fattening > 0:
+        inverse = _fattened(inverse, step * pixel_metres[:, None, None] > 1, sensor.fattening * scale, generator)
     unit = sensor.focal * sensor.baseline * sensor.steps
-    noise = sensor.steps * sensor.disparity_sigma * maps.normal_noise(depth, generator, sensor.window)
-    noisy = unit * inverse + noise
+    noisy = unit * inverse + sensor.steps * sensor.disparity_sigma * _matching_noise(depth, sensor, generator)
     inverse = torch.where(inverse > 0, noisy.round() / unit, torch.zeros_like(inverse))
     return torch.where(invalid, torch.zeros_like(depth), maps.depth_of(inverse))
+
+
+def _textureless(luminance: Tensor, sensor: Stereo) -> Tensor:
+    """Probability (B, H, W) that a pixel's matching window has too little texture for passive matching, 0..1."""
+    mean = _window_mean(luminance, sensor.window)
+    contrast = (_window_mean(luminance**2, sensor.window) - mean**2).clamp_min(0).sqrt()
+    return torch.sigmoid(4 * (1 - contrast / sensor.texture))
+
+
+def _matching_noise(like: Tensor, sensor: Stereo, generator: torch.Generator) -> Tensor:
+    """Noise (B, H, W) of about unit variance: correlated over the window and over patches, of uneven level."""
+    noise = maps.normal_noise(like, generator, sensor.window)
+    if sensor.patch_share > 0:
+        patches = maps.normal_noise(like, generator, sensor.patch)
+        noise = math.sqrt(1 - sensor.patch_share) * noise + math.sqrt(sensor.patch_share) * patches
+    if sensor.unevenness > 0:
+        level = maps.normal_noise(like, generator, 2 * sensor.patch)
+        # The median of the level is 1: most surfaces have the stated noise, some have much more.
+        noise = noise * torch.exp(sensor.unevenness * level)
+    return noise
+
+
+def _fattened(inverse: Tensor, at_step: Tensor, width: Tensor, generator: torch.Generator) -> Tensor:
+    """Inverse depth (B, H, W) in which foreground has grown at steps by `width` (B, 1, 1) pixels on average."""
+    most = max(1, math.ceil(2 * float(width.max())))
+    reach = (
+        torch.special.ndtr(maps.normal_noise(inverse, generator, 2)) * 2 * width
+    )  # uniform from 0 to twice the width
+    for radius in range(most, 0, -1):
+        near = maps.dilate(at_step, radius) > 0
+        inverse = torch.where(near & (reach >= radius - 0.5), maps.dilate(inverse, radius).to(inverse.dtype), inverse)
+    return inverse
 
 
 def _edge_dropout(step: Tensor, pixel_metres: Tensor, probability: float, generator: torch.Generator) -> Tensor:

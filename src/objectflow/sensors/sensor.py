@@ -39,8 +39,14 @@ SENSORS: dict[str, DepthSensor] = {
     "time-of-flight": TimeOfFlight(),
     "stereo": Stereo(),
     "passive-stereo": Stereo(active=False, edge_loss=0.4, disparity_sigma=0.12),
-}
-"""Depth sensors by name, with their published parameters."""
+    "noisy-stereo": Stereo(
+        disparity_sigma=0.2, patch=5, patch_share=0.5, unevenness=0.6, fattening=1.5, hole_loss=0.1, edge_loss=0.5,
+        far=6.5,
+    ),
+}  # fmt: skip
+"""Depth sensors by name, with their published parameters. "noisy-stereo" is calibrated on recordings of RealSense D400
+cameras over tables: on unchanged surfaces at about 1.5 m, the depth of two frames differs by 14 mm in the median and
+by 46 mm at the 90th percentile."""
 
 _ERROR_FIELDS = {
     "disparity_sigma",
@@ -52,6 +58,9 @@ _ERROR_FIELDS = {
     "edge_loss",
     "dark",
     "texture",
+    "unevenness",
+    "fattening",
+    "hole_loss",
 }
 """Fields that set the magnitude of a sensor's errors."""
 

@@ -13,7 +13,6 @@ from objectflow.storage.foreign import foreign_errors
 
 DEPTH_CHANNELS = ("Z", "Depth", "depth", "Y", "V", "R")
 """Names of the depth channel, in order of preference; the part before the last dot is the name of a layer."""
-_TYPES = {"HALF": np.float16, "FLOAT": np.float32, "UINT": np.uint32}
 
 
 def is_exr(data: bytes) -> bool:
@@ -42,13 +41,17 @@ def read_exr(path: Path) -> NDArray[Any]:
         MissingExtraError: OpenEXR is not installed.
     """
     with foreign_errors(ReaderError, f"{path}: not an OpenEXR file that can be read"):
-        # `File` reports a damaged header, on which `InputFile` may crash; `InputFile` raises an error where pixels are
-        # damaged, which `File` prints to standard output.
-        width, height = _window(_read_header(path))
-        file = _library().InputFile(str(path))
-        channels = file.header()["channels"]
-        name = _depth_channel(list(channels), path)
-        return np.frombuffer(file.channel(name), _TYPES[str(channels[name].type)]).reshape(height, width)
+        # `File` reports a damaged header, which crashes the header of `InputFile`; `InputFile` raises an error where
+        # pixels are damaged, which `File` prints to standard output.
+        header = _read_header(path)
+        width, height = _window(header)
+        name = _depth_channel([channel.name for channel in header["channels"]], path)
+        openexr = _library()
+        file = openexr.InputFile(str(path))
+        stored = file.channel(name)
+        if len(stored) == 2 * width * height:
+            return np.frombuffer(stored, np.float16).reshape(height, width)
+        return np.frombuffer(file.channel(name, openexr.FLOAT), np.float32).reshape(height, width)
 
 
 def _read_header(path: Path) -> dict[str, Any]:

@@ -16,33 +16,30 @@ from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float64Array
-
-CELLS = 64
-"""Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
-MAX_POINTS = 600
-"""Maximum number of surface points stored per track."""
 
 
 @dataclass(frozen=True)
-class TrackerSettings:
-    """Thresholds of the association.
+class TrackerSettings(Settings):
+    """Thresholds of the association."""
 
-    Attributes:
-        min_overlap: minimum intersection over union of two footprints.
-        max_gap: largest difference of two surfaces' median depths, metres.
-        min_score: objects with a lower score, such as regions that no motion explains, get no track.
-        coast: number of pairs for which a lost track is also searched at the position its last motion predicts.
-        max_age: number of pairs without an association after which a track ends. Objects at rest have none.
-        history: number of poses kept per track and for the camera; None keeps all poses and ended tracks.
-    """
-
-    min_overlap: float = 0.1
-    max_gap: float = 0.1
-    min_score: float = 0.3
-    coast: int = 3
-    max_age: int = 300
-    history: int | None = None
+    min_overlap: float = setting(0.1, minimum=0, maximum=1)
+    """Minimum intersection over union of two footprints."""
+    max_gap: float = setting(0.1, minimum=0)
+    """Metres: largest difference of two surfaces' median depths."""
+    min_score: float = setting(0.3, minimum=0, maximum=1)
+    """Objects with a lower score, such as regions that no motion explains, get no track."""
+    coast: int = setting(3, minimum=0)
+    """Number of pairs for which a lost track is also searched at the position its last motion predicts."""
+    max_age: int = setting(300, minimum=0)
+    """Number of pairs without an association after which a track ends. Objects at rest have none."""
+    history: int | None = setting(None, minimum=1)
+    """Number of poses kept per track and for the camera; None keeps all poses and ended tracks."""
+    footprint_cells: int = setting(64, minimum=1)
+    """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
+    max_points: int = setting(600, minimum=1)
+    """Maximum number of surface points stored per track."""
 
 
 @dataclass(eq=False)
@@ -123,7 +120,7 @@ class Tracker:
         self.world_T_camera.append(world_T_curr)
 
         objects = [o for o in motion.objects if o.moving and o.score >= self.settings.min_score]
-        surfaces = [_surface(curr, motion.labels == o.id) for o in objects]
+        surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s)]
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
         found: dict[int, int] = {}
@@ -167,7 +164,8 @@ class Tracker:
                 expected = geometry.transform(prev_T_world, world_points)
                 for row, points in enumerate(prev_surfaces):
                     if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
-                        overlap[row, column] = max(overlap[row, column], footprint_overlap(points, expected, camera))
+                        shared = footprint_overlap(points, expected, camera, self.settings.footprint_cells)
+                        overlap[row, column] = max(overlap[row, column], shared)
         links: list[int | None] = [None] * len(objects)
         for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
             if overlap[i, j] >= self.settings.min_overlap:
@@ -218,9 +216,15 @@ class Tracker:
             del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
 
 
-def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera) -> float:
-    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into."""
-    cell = camera.width / CELLS
+def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:
+    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into.
+
+    Args:
+        a, b: the point sets.
+        camera: projects them.
+        cells: number of cells across the image width.
+    """
+    cell = camera.width / cells
     footprints = []
     for points in (a, b):
         pixels = geometry.project(points[points[:, 2] > 0], camera)
@@ -229,11 +233,11 @@ def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera) -> float
     return len(footprints[0] & footprints[1]) / union if union else 0.0
 
 
-def _surface(frame: RgbdFrame, mask: BoolMask) -> Float64Array:
-    """(N, 3) points of a mask, camera frame, subsampled evenly to `MAX_POINTS`."""
+def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> Float64Array:
+    """(N, 3) points of a mask, camera frame, subsampled evenly."""
     rows, columns = np.nonzero(mask & frame.valid)
-    if len(rows) > MAX_POINTS:
-        pick = np.linspace(0, len(rows) - 1, MAX_POINTS).astype(int)
+    if len(rows) > max_points:
+        pick = np.linspace(0, len(rows) - 1, max_points).astype(int)
         rows, columns = rows[pick], columns[pick]
     depth = frame.depth[rows, columns].astype(np.float64)
     return geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera)

@@ -99,7 +99,7 @@ def _draw_shots(
             raise RejectedSceneError("unclear", "no two frames in which every object either moves or stands still")
         curr = view.world_T_camera
         moving = rng.random() < settings.moving_camera
-        motion = _draw_camera_motion(rng, settings) if moving else np.eye(4)
+        motion = draw_camera_motion(rng, settings.camera_turn, settings.camera_shift) if moving else np.eye(4)
         cameras = np.stack([curr @ motion, curr])
         gap = np.linalg.norm(selected.world_T_object[:, :, :3, 3] - cameras[:, None, :3, 3], axis=-1) - radii
         free = all(is_unobstructed(scene.slabs, camera[:3, 3], np.asarray(view.target)) for camera in cameras)
@@ -110,12 +110,20 @@ def _draw_shots(
     raise RejectedSceneError("blocked", "something is at or directly in front of every camera")
 
 
-def _draw_camera_motion(rng: np.random.Generator, settings: ClutterSettings) -> Float64Array:
-    """Draw `curr_T_prev` (4, 4) of the camera, with uniformly distributed directions of axis and translation."""
+def draw_camera_motion(
+    rng: np.random.Generator, turn: tuple[float, float], shift: tuple[float, float]
+) -> Float64Array:
+    """Draw `curr_T_prev` (4, 4) of the camera, with uniformly distributed directions of axis and translation.
+
+    Args:
+        rng: source of randomness.
+        turn: range of the rotation, degrees.
+        shift: range of the translation, metres.
+    """
     axis, direction = rng.normal(size=(2, 3))
-    rotation_vector = np.radians(rng.uniform(*settings.camera_turn)) * axis / np.linalg.norm(axis)
-    shift = rng.uniform(*settings.camera_shift) * direction / np.linalg.norm(direction)
-    return geometry.make_transform(geometry.so3_exp(rotation_vector), shift)
+    rotation_vector = np.radians(rng.uniform(*turn)) * axis / np.linalg.norm(axis)
+    offset = rng.uniform(*shift) * direction / np.linalg.norm(direction)
+    return geometry.make_transform(geometry.so3_exp(rotation_vector), offset)
 
 
 def _render_pair(

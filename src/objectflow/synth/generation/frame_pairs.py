@@ -53,6 +53,8 @@ def select_frames(
     *,
     gap: tuple[int, int],
     movers: tuple[int, int],
+    least_motion: float = MIN_MOVING_DISPLACEMENT,
+    most_rest: float = MAX_STATIC_DISPLACEMENT,
 ) -> SelectedFrames | None:
     """Select two frames; gaps are log-uniformly distributed. None if `MAX_TRIES` tries fail.
 
@@ -62,6 +64,8 @@ def select_frames(
         models, scales: of the scene's objects.
         gap: minimum and maximum number of frames between the two.
         movers: minimum and maximum number of moving objects. (0, 0) selects the first frame twice.
+        least_motion: see `MIN_MOVING_DISPLACEMENT`, metres; it may differ for scenes of another scale.
+        most_rest: see `MAX_STATIC_DISPLACEMENT`, metres.
     """
     poses = recording.world_T_object
     if movers[1] == 0:
@@ -73,13 +77,13 @@ def select_frames(
         prev = int(rng.integers(0, last - frames + 1))
         pair = poses[[prev, prev + frames]].copy()
         displacement = np.array([_mean_displacement(cloud, *pair[:, k]) for k, cloud in enumerate(clouds)])
-        moving, static = displacement >= MIN_MOVING_DISPLACEMENT, displacement < MAX_STATIC_DISPLACEMENT
+        moving, static = displacement >= least_motion, displacement < most_rest
         if not movers[0] <= moving.sum() <= movers[1] or not (moving | static).all():
             continue
         if max(recording.penetration[prev], recording.penetration[prev + frames]) > MAX_PENETRATION:
             continue
         if any(
-            _reduced_displacement(clouds[k], pair[0, k], pair[1, k], models[k]) < MIN_MOVING_DISPLACEMENT
+            _reduced_displacement(clouds[k], pair[0, k], pair[1, k], models[k]) < least_motion
             for k in map(int, np.flatnonzero(moving))
         ):
             continue

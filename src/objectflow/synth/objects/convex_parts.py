@@ -37,6 +37,8 @@ SETTINGS = {
     "seed": 0,
 }
 """CoACD options; its default search takes minutes per mesh and is only a millimetre more accurate."""
+HULL_DIRECTIONS = 96
+"""Number of directions whose extreme points represent a convex hull."""
 TIME_LIMIT = 600.0
 """Maximum time per mesh, seconds."""
 
@@ -99,6 +101,22 @@ def hull_corners(points: Float64Array) -> Float64Array | None:
         return np.ascontiguousarray(points[ConvexHull(points).vertices])
     except QhullError:
         return None
+
+
+def coarse_hull(points: Float64Array, name: str) -> Float64Array:
+    """The corners (C, 3) of a convex hull of points (P, 3) that are extreme in one of `HULL_DIRECTIONS` directions.
+
+    Raises:
+        DatasetError: the points are coplanar.
+    """
+    i = np.arange(HULL_DIRECTIONS)
+    z = 1 - (2 * i + 1) / HULL_DIRECTIONS  # a Fibonacci lattice on the sphere
+    angle, radius = i * np.pi * (3 - np.sqrt(5)), np.sqrt(1 - z**2)
+    directions = np.stack([radius * np.cos(angle), radius * np.sin(angle), z])
+    corners = hull_corners(points[np.unique((points @ directions).argmax(axis=0))])
+    if corners is None:
+        raise DatasetError(f"{name} is flat and has no convex parts: remove it")
+    return corners
 
 
 def pack(parts: Sequence[Float64Array], **others: Float64Array) -> bytes:

@@ -17,7 +17,7 @@ from objectflow.errors import DatasetError, StorageError
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.storage.files import write_bytes, write_text
 from objectflow.storage.temporaries import sweep
-from objectflow.synth.objects.convex_parts import decompose, pack, unpack
+from objectflow.synth.objects.convex_parts import coarse_hull, decompose, pack, unpack
 from objectflow.synth.objects.library import SPLIT_SIZES, check_split
 from objectflow.synth.objects.mesh_files import SUFFIXES, read_mesh
 from objectflow.synth.objects.model import ModelRef, ObjectModel
@@ -78,11 +78,13 @@ class MeshLibrary:
 
     broken: dict[str, str]
 
-    def __init__(self, folder: Path, cache: Path | None = None) -> None:
+    def __init__(self, folder: Path, cache: Path | None = None, *, hulls: bool = False) -> None:
         """Open a folder.
 
         Args:
             folder: folder of the meshes.
+            hulls: take the convex hull of each mesh as its only convex part instead of decomposing it, which takes
+                seconds to minutes per mesh. Objects then cannot lie in hollow ones.
             cache: folder for convex parts, symmetries and the list of broken files; None for a folder in the user's
                 cache.
 
@@ -92,6 +94,7 @@ class MeshLibrary:
             MissingExtraError: reading meshes needs the extra `[synth]`.
         """
         self.folder = Path(folder)
+        self._hulls = hulls
         if not self.folder.is_dir():
             raise DatasetError(f"{self.folder} is not a folder: name a folder of mesh files")
         self.cache = _user_cache() if cache is None else Path(cache)
@@ -137,7 +140,8 @@ class MeshLibrary:
         vertices = mesh.vertices * _scale(mesh.vertices, ref.name)
         vertices = vertices - surface_center(vertices, mesh.faces)
         faces = mesh.faces if signed_volume(vertices, mesh.faces) >= 0 else np.ascontiguousarray(mesh.faces[:, ::-1])
-        key = hashlib.sha256(f"{_CACHE_VERSION} {mesh.digest()} {ref.name}".encode()).hexdigest()
+        kind = " hull" if self._hulls else ""
+        key = hashlib.sha256(f"{_CACHE_VERSION} {mesh.digest()} {ref.name}{kind}".encode()).hexdigest()
         parts, symmetry = self._load_solved(key, vertices, faces, ref.name)
         return ObjectModel(ref.category, ref.name, vertices, faces, mesh.uv, parts, symmetry, mesh.texture)
 
@@ -147,7 +151,7 @@ class MeshLibrary:
         """Convex parts and symmetry from the cache; they are computed and stored there if missing."""
         path = self.cache / f"{key}.npz"
         if not path.is_file():
-            parts = decompose(vertices, faces, name)
+            parts = (coarse_hull(vertices, name),) if self._hulls else decompose(vertices, faces, name)
             symmetry = detect_symmetry(vertices, faces)
             axes = np.array([[*axis.axis, axis.order] for axis in symmetry]).reshape(-1, 4)
             write_bytes(path, pack(parts, axes=axes))

@@ -25,11 +25,13 @@ class MeshFolder:
         folder: see `objectflow.synth.objects.mesh_library.MeshLibrary`.
         share: share of objects that are meshes, above 0 and at most 1; the others are procedural.
         every: put all meshes into every split, for a test set of shapes that are in no training set.
+        hulls: use the convex hull of each mesh in collisions instead of a decomposition.
     """
 
     folder: Path
     share: float = 1.0
     every: bool = False
+    hulls: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.share <= 1:
@@ -45,7 +47,7 @@ def open_library(meshes: MeshFolder | None) -> Library:
     """
     if meshes is None:
         return ProceduralLibrary()
-    library = MeshLibrary(meshes.folder)
+    library = MeshLibrary(meshes.folder, hulls=meshes.hulls)
     if meshes.share == 1 and not meshes.every:
         return library
     return MixedLibrary(library, ProceduralLibrary(), meshes.share, every=meshes.every)

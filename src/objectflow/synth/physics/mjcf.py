@@ -16,14 +16,12 @@ from objectflow.synth.scenes.scene_data import Scene, SceneObject, Slab
 from objectflow.synth.scenes.textures import TextureSpec, draw_texture
 from objectflow.typing import Float32Array, Float64Array, LabelImage, UInt8Array
 
-FLOOR_HALF = 2.0
-"""Half the side length of the visible floor, metres; it keeps depth finite. For collisions the floor is infinite."""
 LIGHTS = 4
 """Number of lights of every model, unused ones switched off: it is compiled into the renderer's kernel."""
 VISIBLE_GROUP, SOLID_GROUP = 0, 3
 """Geom groups of visible surfaces and of collision shapes."""
-TEXTURE_SIZE, FLOOR_TEXTURE_SIZE = 128, 512
-"""Pixels per side: about one per image pixel, because the renderer has no mip maps."""
+TEXTURE_SIZE = 128
+"""Side length of an object's texture, pixels: about one per image pixel, because the renderer has no mip maps."""
 
 
 def import_mujoco() -> Any:
@@ -65,7 +63,9 @@ def build_model(scene: Scene, models: Sequence[ObjectModel], *, solid: bool = Tr
     spec.visual.headlight.active = 0
     if visible:
         _add_surroundings(mujoco, spec, scene)
-    floor = spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[FLOOR_HALF, FLOOR_HALF, 0.1])
+    floor = spec.worldbody.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[scene.floor.half, scene.floor.half, 0.1]
+    )
     _make_solid(floor)
     floor.group = VISIBLE_GROUP
     floor.pos = [0, 0, scene.floor.height]
@@ -119,7 +119,7 @@ def _add_slab(mujoco: Any, spec: Any, number: int, slab: Slab, *, solid: bool, v
         usertexcoord=_flat(uv / surface.tile),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
-    image = draw_texture(surface.texture, FLOOR_TEXTURE_SIZE)
+    image = draw_texture(surface.texture, surface.pixels)
     _add_material(mujoco, spec, name, image, surface.specular, surface.shininess)
     geom = spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, material=name, group=VISIBLE_GROUP, **pose
@@ -198,9 +198,9 @@ def _add_material(mujoco: Any, spec: Any, name: str, image: UInt8Array, specular
 
 def _add_surroundings(mujoco: Any, spec: Any, scene: Scene) -> None:
     floor = scene.floor
-    image = draw_texture(floor.texture, FLOOR_TEXTURE_SIZE)
+    image = draw_texture(floor.texture, floor.pixels)
     material = _add_material(mujoco, spec, "floor", image, floor.specular, floor.shininess)
-    material.texrepeat = [2 * FLOOR_HALF / floor.tile] * 2
+    material.texrepeat = [2 * floor.half / floor.tile] * 2
     for number in range(LIGHTS):
         lit = number < len(scene.lights)
         light = scene.lights[number if lit else 0]

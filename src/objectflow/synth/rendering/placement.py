@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from objectflow.synth.scenes.scene_data import Light
 from objectflow.typing import Float32Array, Int64Array
 
 _OPENCV_R_MUJOCO = np.diag([1.0, -1.0, -1.0])
 """MuJoCo cameras look along -z, with y up."""
+_LIGHT_COLORS = ("light_diffuse", "light_specular", "light_ambient")
+"""Arrays of a `mujoco.MjModel` that hold the lamps' colours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """World poses for B = frames x cameras images, cameras varying fastest. World frame, metres, float32."""
+    """World poses for B images. World frame, metres, float32."""
 
     geom_position: Float32Array
     """(B, G, 3)."""
@@ -32,6 +36,9 @@ class Placement:
     """(B, L, 3)."""
     light_direction: Float32Array
     """(B, L, 3)."""
+    light_colors: Mapping[str, Float32Array] = field(default_factory=dict)
+    """Names of the model's arrays, such as `light_diffuse`, and their values (B, L, 3) in the images. Arrays that are
+    not named have the model's values in all images."""
 
     @classmethod
     def of(
@@ -41,7 +48,7 @@ class Placement:
         world_T_objects: NDArray[np.floating],
         world_T_cameras: NDArray[np.floating],
     ) -> Placement:
-        """Compute the world poses of a model.
+        """Compute the world poses of a model for F x C images, cameras varying fastest.
 
         Args:
             model: `mujoco.MjModel`; geoms without an object are fixed in the world.
@@ -50,20 +57,48 @@ class Placement:
             world_T_cameras: (C, 4, 4), x right, y down, z forward.
         """
         frames, cameras = len(world_T_objects), len(world_T_cameras)
+        return cls.each(
+            model, numbers, np.repeat(world_T_objects, cameras, axis=0), np.tile(world_T_cameras, (frames, 1, 1))
+        )
+
+    @classmethod
+    def each(
+        cls,
+        model: Any,
+        numbers: Int64Array,
+        world_T_objects: NDArray[np.floating],
+        world_T_cameras: NDArray[np.floating],
+        lights: Sequence[Sequence[Light]] | None = None,
+    ) -> Placement:
+        """Compute the world poses of a model for B images, each with its own camera and light.
+
+        Args:
+            model, numbers: see `of`.
+            world_T_objects: (B, N, 4, 4).
+            world_T_cameras: (B, 4, 4), x right, y down, z forward.
+            lights: the lamps of each image, as many as the model was built with; None for the model's own.
+        """
+        images = len(world_T_objects)
         # The identity comes first, as the pose of the world (number 0).
-        world = np.broadcast_to(np.eye(4), (frames, 1, 4, 4))
+        world = np.broadcast_to(np.eye(4), (images, 1, 4, 4))
         world_T_body = np.concatenate([world, world_T_objects], axis=1)[:, numbers]
         body_R_geom = Rotation.from_quat(model.geom_quat, scalar_first=True).as_matrix()
         rotation = world_T_body[..., :3, :3] @ body_R_geom
         position = (world_T_body[..., :3, :3] @ model.geom_pos[:, :, None])[..., 0] + world_T_body[..., :3, 3]
-        worlds = frames * cameras
+        lamps = {name: np.tile(getattr(model, name), (images, 1, 1)) for name in ("light_pos", *_LIGHT_COLORS)}
+        for image, in_image in enumerate(lights or ()):
+            for number, light in enumerate(in_image):
+                lamps["light_pos"][image, number] = light.position
+                for name in _LIGHT_COLORS:
+                    lamps[name][image, number] = getattr(light, name.removeprefix("light_"))
         return cls(
-            geom_position=_float(np.repeat(position, cameras, axis=0)),
-            geom_rotation=_float(np.repeat(rotation, cameras, axis=0)),
-            camera_position=_tile(world_T_cameras[:, None, :3, 3], frames, int(model.ncam)),
-            camera_rotation=_tile((world_T_cameras[:, :3, :3] @ _OPENCV_R_MUJOCO)[:, None], frames, int(model.ncam)),
-            light_position=_tile(model.light_pos[None], worlds, 1),
-            light_direction=_tile(model.light_dir[None], worlds, 1),
+            geom_position=_float(position),
+            geom_rotation=_float(rotation),
+            camera_position=_tile(world_T_cameras[:, None, :3, 3], int(model.ncam)),
+            camera_rotation=_tile((world_T_cameras[:, :3, :3] @ _OPENCV_R_MUJOCO)[:, None], int(model.ncam)),
+            light_position=_float(lamps["light_pos"]),
+            light_direction=_float(np.tile(model.light_dir, (images, 1, 1))),
+            light_colors={} if lights is None else {name: _float(lamps[name]) for name in _LIGHT_COLORS},
         )
 
 
@@ -74,10 +109,9 @@ def object_numbers(model: Any) -> Int64Array:
     return np.asarray(of_body[model.geom_bodyid], dtype=np.int64)
 
 
-def _tile(values: NDArray[np.floating], times: int, along: int) -> Float32Array:
-    """Repeat an array along its first axis, and along its second axis for every camera of the model."""
-    tiled = np.tile(values, (times, along, *(1,) * (values.ndim - 2)))
-    return _float(tiled)
+def _tile(values: NDArray[np.floating], times: int) -> Float32Array:
+    """Repeat an array along its second axis, for every camera of the model."""
+    return _float(np.tile(values, (1, times, *(1,) * (values.ndim - 2))))
 
 
 def _float(values: NDArray[np.floating]) -> Float32Array:

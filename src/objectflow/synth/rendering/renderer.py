@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -14,7 +15,8 @@ from objectflow.synth.rendering.camera_rays import pixel_rays
 from objectflow.synth.rendering.placement import Placement, object_numbers
 from objectflow.synth.rendering.warp_scene import WarpData, WarpModel, tighten_bounds
 from objectflow.synth.rendering.warp_setup import cycles_freed, find_warp_device, import_tracer, quiet
-from objectflow.typing import Float32Array, LabelImage, UInt8Array
+from objectflow.synth.scenes.scene_data import Light
+from objectflow.typing import Float32Array, Int64Array, LabelImage, UInt8Array
 
 DEPTH_CLIP = float(2**20)
 """Depth in metres at which mujoco-warp clips; a power of two, so that its scaling is exact."""
@@ -87,9 +89,45 @@ class Renderer:
                 f"it needs {expected} and {(cameras, 4, 4)}"
             )
         placement = Placement.of(model, numbers, world_T_objects, world_T_cameras)
+        return self._render(model, numbers, placement, (frames, cameras, self._height, self._width))
+
+    def render_each(
+        self,
+        model: Any,
+        world_T_objects: NDArray[np.floating],
+        world_T_cameras: NDArray[np.floating],
+        lights: Sequence[Sequence[Light]],
+    ) -> RenderedFrames:
+        """Render B images of one scene at once, each with its own poses, camera and light.
+
+        Args:
+            model: see `render`.
+            world_T_objects: (B, N, 4, 4) poses of the objects, metres.
+            world_T_cameras: (B, 4, 4) poses of the cameras, x right, y down, z forward, metres.
+            lights: the lamps of each image, as many as the model was built with.
+
+        Returns:
+            B frames of one camera each.
+
+        Raises:
+            DatasetError: the number of poses or lamps does not match the model.
+        """
+        numbers = object_numbers(model)
+        images, lamps = len(world_T_cameras), int(np.sum(model.light_active))
+        expected = (images, int(numbers.max(initial=0)), 4, 4)
+        if world_T_objects.shape != expected or [len(one) for one in lights] != [lamps] * images:
+            raise DatasetError(
+                f"object poses {world_T_objects.shape} and {[len(one) for one in lights]} lamps do not fit the scene: "
+                f"it needs {expected} and {lamps} lamps in each image"
+            )
+        placement = Placement.each(model, numbers, world_T_objects, world_T_cameras, lights)
+        return self._render(model, numbers, placement, (images, 1, self._height, self._width))
+
+    def _render(
+        self, model: Any, numbers: Int64Array, placement: Placement, shape: tuple[int, int, int, int]
+    ) -> RenderedFrames:
         with cycles_freed(), quiet(self._warp), self._warp.ScopedDevice(self._device):
             color, depth, geoms = self._trace(model, placement)
-        shape = (frames, cameras, self._height, self._width)
         # Geom -1, nothing hit, indexes the appended 0.
         labels = np.append(numbers, 0).astype(np.int32)[geoms]
         return RenderedFrames(color.reshape(*shape, 3), depth.reshape(shape), labels.reshape(shape))
@@ -98,7 +136,7 @@ class Renderer:
         """Render B images: colour (B, H, W, 3), depth (B, H, W) and geom number (B, H, W), -1 = none."""
         wp, tracer = self._warp, self._tracer
         worlds = len(placement.camera_position)
-        on_device, data = WarpModel(tracer, wp, model), WarpData.of(wp, placement)
+        on_device, data = WarpModel(tracer, wp, model, placement.light_colors), WarpData.of(wp, placement)
         context = self._create_context(model, worlds)
         tracer.refit_bvh(on_device, data, context)
         tighten_bounds(model, placement, context)

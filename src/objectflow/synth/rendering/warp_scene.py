@@ -6,12 +6,14 @@ mujoco-warp's `put_model` and `make_data` also copy what a simulation needs, whi
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from objectflow.synth.rendering.placement import Placement
+from objectflow.typing import Float32Array
 
 MARGIN = 1e-4
 """Margin of the bounding boxes, metres; protects against rounding errors."""
@@ -22,8 +24,12 @@ _MESH = 7
 class WarpModel:
     """Replaces `mujoco_warp.put_model(model)`: each array is copied when the renderer first reads it."""
 
-    def __init__(self, tracer: ModuleType, warp: ModuleType, model: Any) -> None:
+    def __init__(
+        self, tracer: ModuleType, warp: ModuleType, model: Any, light_colors: Mapping[str, Float32Array] | None = None
+    ) -> None:
+        """`light_colors` replaces arrays of the model by values for each image; see `Placement`."""
         self._tracer, self._warp, self._model = tracer, warp, model
+        self._light_colors = light_colors or {}
         self._types = {field.name: field.type for field in dataclasses.fields(tracer.Model)}
 
     def __getattr__(self, name: str) -> Any:
@@ -35,6 +41,8 @@ class WarpModel:
 
     def _read(self, name: str) -> Any:
         kind: Any = self._types.get(name)
+        if name in self._light_colors:
+            return self._warp.array(self._light_colors[name], dtype=self._warp.vec3)
         value = getattr(self._model, name, None)
         if isinstance(value, int):
             return value

@@ -10,9 +10,10 @@ import numpy as np
 
 from objectflow.typing import Float64Array
 
-ActionKind = Literal["push", "slide", "turn", "lift", "topple", "fall"]
+ActionKind = Literal["push", "slide", "turn", "lift", "topple", "fall", "carry"]
 
 ACTION_KINDS: tuple[ActionKind, ...] = ("push", "slide", "turn", "lift", "topple", "fall")
+"""Kinds that `draw_action` draws."""
 ACTION_PROBABILITIES = (0.17, 0.2, 0.13, 0.17, 0.13, 0.2)
 """Probability of each kind, in the order of `ACTION_KINDS`."""
 
@@ -24,13 +25,15 @@ class Action:
     Attributes:
         kind: "push" (an impulse along the ground, then free motion), "slide" (driven along the ground), "turn" (driven
             about the vertical), "lift" (driven upwards, tilted on the way, and held), "topple" (driven over an edge,
-            then released), "fall" (held in the air, then released).
+            then released), "fall" (held in the air, then released), "carry" (driven upwards and along the ground,
+            turned on the way, and held).
         object: index of the object in the scene, from 0.
         start, frames: first frame and duration of the driven motion.
         heading: direction along the ground, radians.
-        path: distance along the ground (slide) or upwards (lift), metres.
+        path: distance along the ground (slide, carry) or upwards (lift), metres.
         speed: initial speed (push), metres per second.
-        angle: rotation about the vertical (slide, turn) or tilt (lift, topple), radians.
+        angle: rotation about the vertical (slide, turn, carry) or tilt (lift, topple), radians.
+        rise: distance upwards (carry), metres.
     """
 
     kind: ActionKind
@@ -41,6 +44,7 @@ class Action:
     path: float
     speed: float
     angle: float
+    rise: float = 0.0
 
     @property
     def direction(self) -> Float64Array:
@@ -81,7 +85,7 @@ def is_driven(action: Action, time: float) -> bool:
         return time < action.start
     if action.kind == "push":
         return False
-    return action.start <= time and (action.kind == "lift" or time < action.start + action.frames)
+    return action.start <= time and (action.kind in ("lift", "carry") or time < action.start + action.frames)
 
 
 def driven_velocity(action: Action, time: float, frame: float, arm: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -105,6 +109,8 @@ def driven_velocity(action: Action, time: float, frame: float, arm: Float64Array
         return rate * action.path * action.direction, rate * action.angle * upwards
     if action.kind == "turn":
         return zero, rate * action.angle * upwards
+    if action.kind == "carry":
+        return rate * (action.path * action.direction + action.rise * upwards), rate * action.angle * upwards
     if action.kind == "lift":
         return rate * action.path * upwards, rate * action.angle * action.axis
     angular = 2 * share / (action.frames * frame) * action.angle * action.axis

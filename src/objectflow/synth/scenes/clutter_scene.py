@@ -113,7 +113,7 @@ def draw_clutter_scene(
         DatasetError: an unknown split, or a library whose models cannot be loaded.
     """
     plain = settings.scene
-    acting = 0 if motionless else _draw_number(rng, *settings.movers)
+    acting = 0 if motionless else draw_number(rng, *settings.movers)
     count = int(rng.integers(max(acting, plain.objects[0]), max(acting, plain.objects[1]) + 1))
     models = tuple(load_random_model(rng, library, split, skip) for _ in range(count))
     scales = [draw_scale(rng, model, plain) for model in models]
@@ -124,7 +124,7 @@ def draw_clutter_scene(
     targets = _draw_targets(rng, acting, sum(action.kind == "fall" for action in actions), count)
     actions = [dataclasses.replace(action, object=index) for action, index in zip(actions, targets, strict=True)]
     falling = {action.object for action in actions if action.kind == "fall"}
-    rotations = _draw_rotations(rng, count, settings.upright)
+    rotations = draw_rotations(rng, count, settings.upright)
     boxes = bounding_boxes(models, scales)
     radius = min(MAX_RADIUS, float(rng.uniform(*settings.spread)) * covered_radius(boxes[1]))
     origins = place_objects(rng, rotations.as_matrix(), boxes, plain.drop_height, radius, tries=8)
@@ -157,13 +157,13 @@ def draw_clutter_scene(
         floor=floor,
         lights=draw_lights(rng, plain.lights),
         intrinsics=draw_intrinsics(rng, plain),
-        views=tuple(_draw_view(rng, plain, surroundings) for _ in range(plain.views)),
+        views=tuple(draw_view(rng, plain, surroundings) for _ in range(plain.views)),
         slabs=_draw_slab_surfaces(rng, surroundings, images, plain.image_share),
     )
     return ClutterScene(scene, models, tuple(actions))
 
 
-def _draw_number(rng: np.random.Generator, low: int, high: int) -> int:
+def draw_number(rng: np.random.Generator, low: int, high: int) -> int:
     """Draw an integer k from low to high with a probability proportional to 1 / k."""
     numbers = np.arange(low, high + 1)
     return int(rng.choice(numbers, p=(1 / numbers) / (1 / numbers).sum()))
@@ -175,7 +175,7 @@ def _draw_targets(rng: np.random.Generator, acting: int, falling: int, count: in
     return [*map(int, rest), *range(count - falling, count)]
 
 
-def _draw_rotations(rng: np.random.Generator, count: int, upright: float) -> Rotation:
+def draw_rotations(rng: np.random.Generator, count: int, upright: float) -> Rotation:
     """Draw uniformly distributed rotations, or, for the share `upright`, rotations about the vertical."""
     free = rng.normal(size=(count, 4))
     angles = rng.uniform(0, 2 * math.pi, count)
@@ -183,7 +183,8 @@ def _draw_rotations(rng: np.random.Generator, count: int, upright: float) -> Rot
     return Rotation.from_quat(np.where((rng.random(count) < upright)[:, None], standing, free))
 
 
-def _draw_view(rng: np.random.Generator, settings: SceneSettings, surroundings: Surroundings) -> View:
+def draw_view(rng: np.random.Generator, settings: SceneSettings, surroundings: Surroundings) -> View:
+    """Draw a camera; where there are walls, it looks from the side without walls."""
     x, y = map(float, rng.uniform(-0.1, 0.1, 2))
     low, high = (math.sin(math.radians(angle)) for angle in settings.elevation)
     spread = math.pi if not surroundings.walls else math.radians(60)

@@ -56,6 +56,11 @@ class Floor:
     """Shininess, 0..1."""
     height: float = 0.0
     """Height of the floor in the world, metres; below 0 where the objects lie on a table."""
+    pixels: int = 512
+    """Side length of the texture, pixels: about one per image pixel, because the renderer has no mip maps."""
+    half: float = 2.0
+    """Half the side length of the visible floor, metres; it keeps depth finite. For collisions it is infinite. A slab
+    has its own size."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from objectflow.typing import Float64Array
 
 CAMERA_CLEARANCE = 0.05
 """Minimum distance between a camera and a slab along the slab's axes, metres."""
-_BARE = Floor(TextureSpec("plain"), 1.0, 0.0, 0.1)
+BARE = Floor(TextureSpec("plain"), 1.0, 0.0, 0.1)
 """Placeholder for a surface that is drawn later."""
 
 
@@ -34,15 +34,18 @@ class Surroundings:
     walls: bool
 
 
-def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
-    """Draw the surroundings of a disc of objects: a table in 60% of the scenes, a bin in 15%, up to two walls.
+def draw_surroundings(
+    rng: np.random.Generator, radius: float, *, tables: float = 0.6, bins: float = 0.15
+) -> Surroundings:
+    """Draw the surroundings of a disc of objects: a table or a floor, a bin or none, up to two walls.
 
     Args:
         rng: source of randomness.
         radius: of the disc, metres.
+        tables, bins: shares of scenes with a table and with a bin, 0..1.
     """
     front = float(rng.uniform(0, 2 * math.pi))
-    table, in_bin, walls = rng.random() < 0.6, rng.random() < 0.15, int(rng.choice(3, p=(0.3, 0.4, 0.3)))
+    table, in_bin, walls = rng.random() < tables, rng.random() < bins, int(rng.choice(3, p=(0.3, 0.4, 0.3)))
     slabs: list[tuple[str, Slab]] = []
     floor = 0.0
     if table:
@@ -50,7 +53,7 @@ def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
         thickness = float(rng.uniform(0.015, 0.05))
         half = (radius + float(rng.uniform(0.08, 0.5)), radius + float(rng.uniform(0.08, 0.35)), thickness / 2)
         x, y = map(float, rng.uniform(-0.05, 0.05, 2))
-        slabs.append(("table", Slab((x, y, -thickness / 2), front + float(rng.normal(0, 0.3)), half, _BARE)))
+        slabs.append(("table", Slab((x, y, -thickness / 2), front + float(rng.normal(0, 0.3)), half, BARE)))
     if in_bin:
         slabs += _draw_bin(rng, radius)
     for number in range(walls):
@@ -63,7 +66,7 @@ def draw_surroundings(rng: np.random.Generator, radius: float) -> Surroundings:
             distance * math.sin(azimuth),
             floor + height / 2,
         )
-        slabs.append(("wall", Slab(center, azimuth, (0.02, 1.8, height / 2), _BARE)))
+        slabs.append(("wall", Slab(center, azimuth, (0.02, 1.8, height / 2), BARE)))
     return Surroundings(floor, tuple(slabs), front, walls > 0)
 
 
@@ -79,7 +82,7 @@ def _draw_bin(rng: np.random.Generator, radius: float) -> list[tuple[str, Slab]]
         (0.0, -b, (a - thin, thin, height / 2)),
     ):
         c, s = math.cos(yaw), math.sin(yaw)
-        sides.append(("bin", Slab((c * x - s * y, s * x + c * y, height / 2), yaw, half, _BARE)))
+        sides.append(("bin", Slab((c * x - s * y, s * x + c * y, height / 2), yaw, half, BARE)))
     return sides
 
 

@@ -195,6 +195,30 @@ def _label(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> F
     return out
 
 
+def _package(rng: np.random.Generator, size: int, scale: int, colors: Colors) -> Float32Array:
+    """A printed carton: two panels side by side, each with a name, a picture and small print, and a plain side."""
+    out = _plain(rng, size, scale, colors)
+    half = size // 2
+    word = "".join(chr(65 + letter) for letter in rng.integers(0, 26, int(rng.integers(4, 8))))
+    band = rng.uniform(0.12, 0.3)
+    blobs = [(rng.random(2), rng.uniform(0.05, 0.2), rng.random(3) * 255) for _ in range(int(rng.integers(3, 9)))]
+    ink = draw_word(word, half, float(rng.random()), 0.5)
+    for left in (0, half):
+        panel = out[:, left : left + half - size // 6]
+        width = panel.shape[1]
+        cv2.rectangle(panel, (0, int(0.4 * size)), (width, int(0.8 * size)), colors[1].tolist(), -1)
+        for place, radius, color in blobs:
+            center = (int(place[0] * width), int((0.45 + 0.3 * place[1]) * size))
+            cv2.circle(panel, center, max(1, int(radius * half)), color.tolist(), -1)
+        top = int(band * size)
+        rows = slice(top, top + half)
+        name = cv2.resize(ink, (width, half), interpolation=cv2.INTER_AREA)
+        cv2.rectangle(panel, (0, top + half // 3), (width, top + 2 * half // 3), colors[2].tolist(), -1)
+        panel[rows] = _mix(panel[rows], _readable(colors[0], colors[2]), name)
+        _letters(rng, panel[int(0.84 * size) :], np.full(3, 40, dtype=np.float32), 3, 0.06, 0.94)
+    return out
+
+
 PATTERNS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float32Array]] = {
     "wood": _wood,
     "tiles": _tiles,
@@ -205,6 +229,7 @@ PATTERNS: dict[str, Callable[[np.random.Generator, int, int, Colors], Float32Arr
     "plain": _plain,
     "paper": _paper,
     "label": _label,
+    "package": _package,
     "stripes": _stripes,
 }
 """Patterns by name; arguments: random generator, pixels per side, features per side, colours."""

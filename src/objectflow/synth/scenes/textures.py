@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -24,7 +25,7 @@ class TextureSpec:
     """The parameters that determine a texture's pixels at a given size.
 
     Attributes:
-        kind: one of FLOOR_KINDS or OBJECT_KINDS, "image", or "model" (the mesh file's own texture).
+        kind: one of FLOOR_KINDS or OBJECT_KINDS, "package", "image", or "model" (the mesh file's own texture).
         seed: of the pattern.
         colors: three RGB colours: ground, pattern, accent.
         scale: number of features per side; the kind decides what a feature is (a plank, a tile, a stripe, ...).
@@ -44,6 +45,12 @@ def draw_texture(spec: TextureSpec, size: int) -> UInt8Array:
     Raises:
         DatasetError: an unknown kind, or an image that cannot be read.
     """
+    return _draw_once(spec, size).copy()
+
+
+@lru_cache(maxsize=48)
+def _draw_once(spec: TextureSpec, size: int) -> UInt8Array:
+    """Cached, because the slabs of a group share a texture and images are used in many scenes."""
     if spec.kind == "image":
         return _read_image(Path(spec.path), size)
     pattern = PATTERNS.get(spec.kind)
