@@ -79,6 +79,8 @@ class Recording:
         self.count, focal = count, 0.74 * width
         self.camera = Camera(width, width * 3 // 4, focal, focal, (width - 1) / 2, (width * 3 // 4 - 1) / 2)
         self.depth_scale = 1000.0
+        self.cuts: tuple[int, ...] = ()
+        self.notes: tuple[str, ...] = ()
         rng = np.random.default_rng(0)
         side = round(SIDE / PLATE * focal)
         self.wall = texture(rng, self.camera.height, width)

@@ -93,6 +93,12 @@ class DatasetError(ObjectflowError):
     """A data set, shard, manifest or mesh folder that cannot be used."""
 
 
+class CheckError(ObjectflowError):
+    """A source in which `objectflow check --strict` finds something suspicious."""
+
+    exit_code = 1
+
+
 class TrainingError(ObjectflowError):
     """A training run that cannot start or continue with the given options, or whose losses are no longer finite."""
 

@@ -156,7 +156,7 @@ def test_a_bad_frame_is_left_out_and_named(
 
 
 def test_no_pair_crosses_a_cut(sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from objectflow.cli import run as module
+    from objectflow.cli import arguments as module
 
     opened = module.open_source
     monkeypatch.setattr(module, "open_source", lambda *args, **kw: replace(opened(*args, **kw), cuts=(2,)))
@@ -237,3 +237,56 @@ def test_overlays_have_lasting_colours_and_trails_and_make_a_video(
     video = cv2.VideoCapture(str(tmp_path / "out" / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FRAME_WIDTH)) == (3, 960)
     assert main([*words, "--out", str(tmp_path / "other"), "--video", "--no-pictures"]) == 2
+
+
+def test_start_stop_and_limit(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def pairs(*options: str) -> set[str]:
+        out = tmp_path / "_".join(options)
+        assert main(["run", str(sequence), "--method", "zero", "--out", str(out), *options]) == 0
+        return {name for name in names(out) if name.startswith("pair")}
+
+    assert pairs("--start", "1", "--stop", "4") == {"pair_000001_000002", "pair_000002_000003"}
+    assert pairs("--start", "1", "--every", "2") == {"pair_000001_000003"}
+    assert pairs("--limit", "2") == {"pair_000000_000001", "pair_000001_000002"}
+    assert pairs("--stop", "99", "--limit", "99") == {f"pair_{k:06d}_{k + 1:06d}" for k in range(4)}
+    capsys.readouterr()
+    command = ["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "no")]
+    for options, words in (
+        (["--start", "4"], "5 frames, every 1 taken from --start 4: a pair needs two"),
+        (["--start", "-1"], "--start must be at least 0"),
+        (["--limit", "0"], "--limit at least 1"),
+    ):
+        assert main([*command, *options]) == 2
+        assert words in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_limited_run_is_continued(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "out")]
+    assert main([*command, "--limit", "1"]) == 0
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "4 pairs, 1 of them done before" in capsys.readouterr().out
+
+
+def test_bad_frames_are_left_out_and_named(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cv2.imwrite(str(sequence / "depth" / "0.png"), np.zeros((48, 64), np.uint16))  # the camera warms up
+    (sequence / "color" / "3.png").write_bytes((sequence / "color" / "3.png").read_bytes()[:200])
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "out")]) == 0
+    assert {"pair_000001_000002", "pair_000002_000004"} < names(tmp_path / "out")
+    out = capsys.readouterr().out
+    assert "2 frames left out" in out
+    assert "depth/0.png: depth is missing everywhere" in out
+    assert "color/3.png: the PNG is cut off" in out
+
+
+def test_suspicious_input_is_warned_of_once(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", str(sequence), "--method", "zero", "--depth-scale", "100", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith("warning: depth units: current: the median depth is 9.8 m")
+    assert main(["run", str(sequence), "--method", "zero", "--out", str(tmp_path / "fine")]) == 0
+    assert capsys.readouterr().err == ""

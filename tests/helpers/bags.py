@@ -12,9 +12,11 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.spatial.transform import Rotation
 
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 
 Kind = Literal["ros1", "sqlite3", "mcap"]
 COLOR = "/camera/color/image_raw"
@@ -28,14 +30,19 @@ class BagBuilder:
     def __init__(self, kind: Kind) -> None:
         self.kind = kind
         self.store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
+        if "tf2_msgs/msg/TFMessage" not in self.store.types:
+            definition = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(get_types_from_msg(definition, "tf2_msgs/msg/TFMessage"))
         self.messages: list[tuple[str, str, int, Any]] = []
+        self.frame_id = "camera"
+        """Of the messages that are added from now on."""
 
     def header(self, seconds: float) -> Any:
         types = self.store.types
         whole = int(seconds)
         stamp = types["builtin_interfaces/msg/Time"](sec=whole, nanosec=round((seconds - whole) * 1e9))
         extra = {"seq": 0} if self.kind == "ros1" else {}
-        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **extra)
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id=self.frame_id, **extra)
 
     def add(self, topic: str, msgtype: str, seconds: float, recorded: float | None = None, **fields: Any) -> None:
         message = self.store.types[msgtype](header=self.header(seconds), **fields)
@@ -62,30 +69,62 @@ class BagBuilder:
             topic, "sensor_msgs/msg/CompressedImage", seconds, format=kind, data=np.frombuffer(data, np.uint8).copy()
         )
 
-    def info(self, topic: str, seconds: float, frame: RgbdFrame) -> None:
-        camera = frame.camera
+    def info(
+        self,
+        topic: str,
+        seconds: float,
+        frame: RgbdFrame | Camera,
+        *,
+        D: Sequence[float] = (0.0,) * 5,
+        model: str = "plumb_bob",
+        P: Camera | None = None,
+        binning: int = 0,
+        roi: tuple[int, int, int, int] = (0, 0, 0, 0),
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        """Add a CameraInfo; `roi` is x, y, width, height, and `size` (width, height) replaces that of the camera."""
+        camera = frame.camera if isinstance(frame, RgbdFrame) else frame
+        width, height = size or (camera.width, camera.height)
         capital = self.kind == "ros1"
         matrices = {
-            "D": np.zeros(5),
+            "D": np.array(D, dtype=np.float64),
             "K": camera.matrix.ravel(),
             "R": np.eye(3).ravel(),
-            "P": np.hstack([camera.matrix, np.zeros((3, 1))]).ravel(),
+            "P": np.hstack([(P or camera).matrix, np.zeros((3, 1))]).ravel(),
         }
         region = self.store.types["sensor_msgs/msg/RegionOfInterest"](
-            x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+            x_offset=roi[0], y_offset=roi[1], height=roi[3], width=roi[2], do_rectify=False
         )
         self.add(
             topic,
             "sensor_msgs/msg/CameraInfo",
             seconds,
-            height=camera.height,
-            width=camera.width,
-            distortion_model="plumb_bob",
-            binning_x=0,
-            binning_y=0,
+            height=height,
+            width=width,
+            distortion_model=model,
+            binning_x=binning,
+            binning_y=binning,
             roi=region,
             **{name if capital else name.lower(): value for name, value in matrices.items()},
         )
+
+    def transform(self, parent: str, child: str, parent_T_child: np.ndarray[Any, Any]) -> None:
+        """Add a transform to `/tf_static`."""
+        types = self.store.types
+        x, y, z, w = Rotation.from_matrix(parent_T_child[:3, :3]).as_quat()
+        tx, ty, tz = parent_T_child[:3, 3]
+        header = self.header(1.0)
+        header = type(header)(**{**vars(header), "frame_id": parent})
+        stamped = types["geometry_msgs/msg/TransformStamped"](
+            header=header,
+            child_frame_id=child,
+            transform=types["geometry_msgs/msg/Transform"](
+                translation=types["geometry_msgs/msg/Vector3"](x=tx, y=ty, z=tz),
+                rotation=types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w),
+            ),
+        )
+        message = types["tf2_msgs/msg/TFMessage"](transforms=[stamped])
+        self.messages.append(("/tf_static", "tf2_msgs/msg/TFMessage", 10**9, message))
 
     def write(self, path: Path) -> Path:
         """Write the bag and return its path: a file, or a ROS 2 bag folder."""
@@ -108,12 +147,22 @@ class BagBuilder:
 
 
 def write_frames(
-    path: Path, frames: Sequence[RgbdFrame], kind: Kind, *, period: float = 0.1, lag: float = 0.004
+    path: Path,
+    frames: Sequence[RgbdFrame],
+    kind: Kind,
+    *,
+    period: float = 0.1,
+    lag: float = 0.004,
+    start: float = 1000.0,
+    bag: BagBuilder | None = None,
 ) -> Path:
-    """Write a typical recording: rgb8, 16UC1 in millimetres delayed by `lag` seconds, and CameraInfo."""
-    bag = BagBuilder(kind)
+    """Write a typical recording: rgb8, 16UC1 in millimetres delayed by `lag` seconds, and CameraInfo.
+
+    The messages are added to `bag`, if it is given.
+    """
+    bag = bag or BagBuilder(kind)
     for number, frame in enumerate(frames):
-        seconds = 1000.0 + period * number
+        seconds = start + period * number
         bag.image(COLOR, seconds, frame.color, "rgb8")
         bag.image(DEPTH, seconds + lag, np.rint(frame.depth * 1000).astype(np.uint16), "16UC1")
         bag.info(INFO, seconds, frame)

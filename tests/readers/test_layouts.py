@@ -126,7 +126,7 @@ def test_depth_that_lags_is_paired_with_max_lag(tmp_path: Path) -> None:
         "depth.txt": "".join(f"{100.035 + 0.1 * k:.3f} depth/{k}.png\n" for k in range(4)),
     }
     write_tum(tmp_path, lists)
-    with pytest.raises(ReaderError, match="within 0.02 s.*--max-lag 0.04 admits it"):
+    with pytest.raises(ReaderError, match=r"within 0.02 s.*--max-lag 0.04 admits it"):
         open_source(tmp_path, OPTIONS)
     check_frames(open_source(tmp_path, CameraOptions(intrinsics=OPTIONS.intrinsics, max_lag=0.04)))
 
@@ -153,14 +153,12 @@ def test_lists_stay_inside_their_folder(tmp_path: Path, name: str, layout: str) 
     if layout == "associations":
         lists = {"associations.txt": f"1.0 rgb/0.png 1.0 depth/0.png\n1.1 {name} 1.1 depth/1.png\n"}
     write_tum(folder, lists)
-    with pytest.raises(ReaderError, match="line 2: .* lies outside the folder"):
+    with pytest.raises(ReaderError, match=r"line 2: .* lies outside the folder"):
         open_source(folder, OPTIONS)
 
 
 def test_missing_empty_and_special_files_are_named_and_left_in_place(tmp_path: Path) -> None:
-    lists = {
-        f"{kind}.txt": "".join(f"{100 + k} {kind}/{k}.png\n" for k in range(8)) for kind in ("rgb", "depth")
-    }
+    lists = {f"{kind}.txt": "".join(f"{100 + k} {kind}/{k}.png\n" for k in range(8)) for kind in ("rgb", "depth")}
     write_frames(tmp_path, "rgb/{}.png", "depth/{}.png", count=8, units=5000)
     for name, text in lists.items():
         (tmp_path / name).write_text(text)
@@ -247,7 +245,10 @@ def test_a_frame_of_another_size_is_left_out(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("suffix", "scale"), [("png", 1000), ("PNG", 1000), ("tiff", 1), ("npy", 1)])
 def test_depth_formats_of_folders_and_pairs(tmp_path: Path, suffix: str, scale: int) -> None:
-    for layout, names in (("folder", ("color/{}.JPG", "depth/{}." + suffix)), ("pair", ("color{}.BMP", "depth{}." + suffix))):
+    for layout, names in (
+        ("folder", ("color/{}.JPG", "depth/{}." + suffix)),
+        ("pair", ("color{}.BMP", "depth{}." + suffix)),
+    ):
         for k in range(2):
             path = tmp_path / layout / names[1].format(k)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -422,11 +423,35 @@ def test_an_r3d_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None
     with pytest.raises(ReaderError, match="depth has 64000000 bytes, not 16x12"):
         open_source(tmp_path / "a.r3d")[0]
     (tmp_path / "b.r3d").write_bytes(b"PK\x03\x04")
-    with pytest.raises(ReaderError, match="not an .r3d file"):
+    with pytest.raises(ReaderError, match=r"not an .r3d file"):
         open_source(tmp_path / "b.r3d")
     write_r3d(tmp_path / "c.r3d", [], K="x")
     with pytest.raises(ReaderError, match="0 frames with colour and depth"):
         open_source(tmp_path / "c.r3d")
+
+
+def test_a_camera_file_with_distortion_undistorts_the_images(tmp_path: Path) -> None:
+    """Colour is compared with OpenCV's own undistortion, depth with the nearest pixel of its map."""
+    rng = np.random.default_rng(0)
+    matrix, lens = np.array(K, float).reshape(3, 3), np.array([-0.2, 0.05, 0.001, -0.002, 0.0])
+    image = cv2.GaussianBlur(rng.integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8), (0, 0), 2)
+    units = rng.integers(900, 1100, (HEIGHT, WIDTH), dtype=np.uint16)
+    for k in range(2):
+        write(tmp_path / f"color/{k}.png", image)
+        write(tmp_path / f"depth/{k}.png", units)
+    (tmp_path / "camera_info.yaml").write_text(
+        f"image_width: {WIDTH}\nimage_height: {HEIGHT}\ndistortion_model: plumb_bob\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: {K}}}\n"
+        f"distortion_coefficients: {{rows: 1, cols: 5, data: {lens.tolist()}}}\n"
+    )
+    source = open_source(tmp_path)
+    frame = source[0]
+    expected = cv2.undistort(image, matrix, lens)[..., ::-1]
+    assert np.abs(frame.color.astype(int) - expected).max() <= 2
+    map_u, map_v = cv2.initUndistortRectifyMap(matrix, lens, None, matrix, (WIDTH, HEIGHT), cv2.CV_32FC1)
+    nearest = cv2.remap(units, map_u, map_v, cv2.INTER_NEAREST) / 1000
+    assert (np.abs(frame.depth - nearest) < 1e-6).mean() > 0.98
+    assert "colour and depth are undistorted" in source.notes[0]
 
 
 # --- Azure Kinect ---
@@ -437,7 +462,7 @@ def test_an_azure_kinect_recording_without_the_library_says_how_to_convert(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyk4a", None)
     (tmp_path / "a.mkv").write_bytes(b"\x1a\x45\xdf\xa3")
-    with pytest.raises(MissingExtraError, match="azure_kinect_mkv_reader.py") as caught:
+    with pytest.raises(MissingExtraError, match=r"azure_kinect_mkv_reader.py") as caught:
         open_source(tmp_path / "a.mkv")
     assert "\n" not in str(caught.value)
 

@@ -66,7 +66,7 @@ COLOR_FILES: dict[str, tuple[str, Write]] = {
     "tiff": ("c.tiff", lambda path, image: tiff(path, image, photometric="rgb")),
     "tiff lzw": ("c.tif", lambda path, image: pillow(path, image, compression="tiff_lzw")),
     "webp": ("c.webp", lambda path, image: pillow(path, image, lossless=True)),
-    "npy": ("c.npy", lambda path, image: np.save(path, image)),
+    "npy": ("c.npy", np.save),
     "npz": ("c.npz", lambda path, image: np.savez_compressed(path, rgb=image, other=image[:1])),
 }
 DEPTH_FILES: dict[str, tuple[str, Write, NDArray[Any]]] = {
@@ -84,14 +84,14 @@ DEPTH_FILES: dict[str, tuple[str, Write, NDArray[Any]]] = {
     "exr of a layer": ("d.exr", lambda path, image: exr(path, image, "Depth.V"), METRES),
     "exr in three channels": ("d.EXR", exr_rgb, METRES),
     "pfm": ("d.pfm", pfm, METRES),
-    "npy float32": ("d.npy", lambda path, image: np.save(path, image), METRES),
-    "npy float16": ("d.npy", lambda path, image: np.save(path, image), METRES.astype(np.float16)),
-    "npy uint16": ("d.npy", lambda path, image: np.save(path, image), UNITS),
+    "npy float32": ("d.npy", np.save, METRES),
+    "npy float16": ("d.npy", np.save, METRES.astype(np.float16)),
+    "npy uint16": ("d.npy", np.save, UNITS),
     "npy big-endian": ("d.npy", lambda path, image: np.save(path, image.astype(">u2")), UNITS),
-    "npy uint32": ("d.npy", lambda path, image: np.save(path, image), UNITS.astype(np.uint32)),
+    "npy uint32": ("d.npy", np.save, UNITS.astype(np.uint32)),
     "npy with a channel": ("d.npy", lambda path, image: np.save(path, image[..., None]), METRES),
     "npy with a batch": ("d.npy", lambda path, image: np.save(path, image[None]), METRES),
-    "npz": ("d.npz", lambda path, image: np.savez(path, image), METRES),
+    "npz": ("d.npz", np.savez, METRES),
     "npz of several": ("d.NPZ", lambda path, image: savez(path, depth=image, confidence=image[:2]), METRES),
 }
 
@@ -155,9 +155,14 @@ def test_scales_and_the_largest_depth() -> None:
 
 
 def header_of_png(width: int, height: int) -> bytes:
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)), (b"IDAT", zlib.compress(b"")), (b"IEND", b"")]
+    chunks = [
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+        (b"IDAT", zlib.compress(b"")),
+        (b"IEND", b""),
+    ]
     body = b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
     )
     return b"\x89PNG\r\n\x1a\n" + body
 
@@ -189,7 +194,7 @@ def test_a_header_that_asks_for_too_much_is_refused_before_decoding(tmp_path: Pa
     path = tmp_path / name
     path.write_bytes(HUGE[name])
     for read in (read_size, read_depth, read_color):
-        with pytest.raises(ReaderError, match="60000x60000 pixels are too many|too many pixels"):
+        with pytest.raises(ReaderError, match=r"60000x60000 pixels are too many|too many pixels"):
             read(path)
 
 

@@ -51,7 +51,7 @@ COMMANDS: dict[str, CommandEntry] = {
     "generate": CommandEntry(
         "a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate", resumes=True
     ),
-    "check": CommandEntry("verify a data set and print its statistics", "objectflow.cli.check", "Check"),
+    "check": CommandEntry("check a recording for input errors, or verify a data set", "objectflow.cli.check", "Check"),
     "show": CommandEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
     "view": CommandEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
     "check-pair": CommandEntry("check two frames for common input errors", "objectflow.cli.check_pair", "CheckPair"),

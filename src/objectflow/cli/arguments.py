@@ -13,7 +13,7 @@ import tyro
 from objectflow.cli.output import Export
 from objectflow.errors import ReaderError
 from objectflow.methods.registry import DEFAULT_METHOD, check_name, find_class, load
-from objectflow.readers import CameraOptions, FrameSequence, open_files, open_pair
+from objectflow.readers import CameraOptions, FrameSequence, FrameSource, open_files, open_pair, open_source
 from objectflow.settings import flat, parse_assignments, read_toml
 
 if TYPE_CHECKING:
@@ -28,20 +28,24 @@ def option(metavar: str, default: str = "") -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class CameraArguments:
-    """Camera and depth scale of image files."""
+    """Camera and depth of image files."""
 
     camera_file: Annotated[Path | None, option("FILE", "camera.json beside the images")] = None
-    """JSON file with width, height, fx, fy, cx, cy and optionally depth_scale; or a TUM camera: fr1, fr2, fr3."""
+    """Camera file: JSON with width, height, fx, fy, cx, cy and optionally depth_scale, a ROS camera_info YAML, a file
+    of Open3D, RealSense, COLMAP or BOP, or a 3x3 matrix as text or .npy; or a TUM camera: fr1, fr2, fr3."""
 
     intrinsics: Annotated[tuple[float, float, float, float] | None, option("FX FY CX CY")] = None
     """Intrinsics in pixels, instead of a camera file; commas may separate them."""
 
     depth_scale: Annotated[float | None, option("S", "the camera file's, or 1000; 5000 for a TUM directory")] = None
-    """Depth units per metre."""
+    """Depth units per metre; floating-point depth is in metres unless this is given."""
+
+    max_depth: Annotated[float | None, option("METRES", "no limit")] = None
+    """Depth beyond this is missing."""
 
     def camera_options(self) -> CameraOptions:
         """The options of the readers."""
-        return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale)
+        return CameraOptions(self.camera_file, self.intrinsics, self.depth_scale, self.max_depth)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +106,25 @@ class MethodArguments(CameraArguments):
 
 
 @dataclass(frozen=True, kw_only=True)
-class TopicArguments:
-    """Image topics of a bag."""
+class SourceArguments(CameraArguments):
+    """How a recording is read."""
 
     color_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
     """Topic of the colour images in a bag."""
 
     depth_topic: Annotated[str | None, option("TOPIC", "the only one")] = None
     """Topic of the depth images in a bag, registered to colour."""
+
+    max_lag: Annotated[float | None, option("SECONDS", "0.02")] = None
+    """Longest time between a colour image and its depth image, where they have times of their own."""
+
+    def camera_options(self) -> CameraOptions:
+        """The options of the readers."""
+        return dataclasses.replace(super().camera_options(), max_lag=self.max_lag)
+
+    def open_path(self, path: Path) -> FrameSource:
+        """Open a source."""
+        return open_source(path, self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic)
 
 
 @dataclass(frozen=True, kw_only=True)

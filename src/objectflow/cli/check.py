@@ -1,89 +1,89 @@
-"""`objectflow check`: verify a data set's hashes, and warp its pixels by its motions."""
+"""`objectflow check`: verify a recording or a data set before it is used."""
 
 from __future__ import annotations
 
-import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
+import tyro
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import option
-from objectflow.dataset.check import CheckReport, check
-from objectflow.errors import DatasetError
+from objectflow.cli.arguments import SourceArguments, option
+from objectflow.cli.check_set import check_set, is_set
+from objectflow.cli.findings import print_findings, verdict
+from objectflow.diagnosis import draw_depth_edges, examine, examine_source, read_pair
+from objectflow.diagnosis.settings import DiagnosisSettings
+from objectflow.errors import CheckError, DatasetError
+from objectflow.readers import CutOffWarning
+from objectflow.runtime.quiet import silence_stderr
+from objectflow.settings import build, parse_assignments
+from objectflow.storage import files
+from objectflow.storage.images import encode_png
 
 EXAMPLES = """\
+  objectflow check recording
+  objectflow check table.bag --pair 10 20 --picture edges.png
+  objectflow check rgbd_dataset_freiburg1_desk --camera-file fr1 --strict
   objectflow check data
-  objectflow check data --limit 100
-  objectflow check data --json
+  objectflow check data --limit 100 --json
 """
 
 
 @dataclass(frozen=True)
-class Check:
-    """Verify every shard's hash, warp each pair by its depth, poses and motions, and print statistics of the set."""
+class Check(SourceArguments):
+    """Check a source of `objectflow run` for common input errors, or verify a data set.
 
-    data: Annotated[Positional[Path], option("DIR")]
-    """Folder of the data set."""
+    Of a source, two frames are examined as by `check-pair`, and all frames for missing files, repeated images and
+    irregular times. Of a data set, every shard's hash is verified and each pair is warped by its depth, poses and
+    motions.
+    """
+
+    source: Annotated[Positional[Path], option("SOURCE | DATA_DIR")]
+    """A pair folder, a sequence, a bag, or the folder of a data set; the kind is detected."""
+
+    pair: Annotated[tuple[int, int] | None, option("I J", "two frames in the middle")] = None
+    """The frames of a source to examine, numbered from 0."""
+
+    picture: Annotated[Path | None, option("FILE.png", "none")] = None
+    """Picture to write: the depth edges of the second frame over its colour."""
+
+    set: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], option("PATH=VALUE", "none")] = ()
+    """A threshold of the checks, such as depth.max_median_depth=20; may be repeated."""
+
+    strict: bool = False
+    """Exit with code 1 if anything in a source is suspicious."""
 
     limit: int | None = None
-    """Maximum number of pairs to warp per part."""
+    """Maximum number of pairs of a data set to warp per part."""
 
     json: bool = False
-    """Print the statistics as JSON."""
+    """Print the statistics of a data set as JSON."""
 
     def run(self) -> None:
-        """Check, and print one table per part."""
-        console = Console()
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            bar = progress.add_task("warp")
-            reports = check(
-                self.data,
-                limit=self.limit,
-                report=lambda part, done, total: progress.update(bar, description=part, completed=done, total=total),
-            )
-        if self.json:
-            print(json.dumps([report.to_dict() for report in reports], indent=2))
-        else:
-            for report in reports:
-                _print(console, report)
-        wrong = [line for report in reports for line in report.wrong]
-        if wrong:
-            raise DatasetError(f"{self.data}: {len(wrong)} rows are inconsistent, the first: {wrong[0]}")
-
-
-def _print(console: Console, report: CheckReport) -> None:
-    table = Table(title=f"{report.part}: {report.rows} rows, set {report.hash[:12]}")
-    for column in ("quantity", "mean", "median", "95%", "count"):
-        table.add_column(column, justify="left" if column == "quantity" else "right")
-    quantities = (
-        ("depth error, mm per pixel", report.depth_mm),
-        ("depth error with reduced rotations, mm", report.reduced_depth_mm),
-        ("colour error, grey levels", report.color),
-        ("objects per pair", report.objects),
-        ("visible pixels per object", report.visible),
-        ("displacement, cm", report.displacement_cm),
-        ("rotation (reduced), degrees", report.rotation_deg),
-        ("rotation (raw), degrees", report.raw_rotation_deg),
-    )
-    for name, histogram in quantities:
-        median, high = histogram.quantile(0.5), histogram.quantile(0.95)
-        table.add_row(name, f"{histogram.mean:.2f}", f"{median:.2f}", f"{high:.2f}", str(histogram.count))
-    console.print(table)
-    share = 100 * report.symmetric / max(1, report.objects_total)
-    rejected = ", ".join(f"{count} {reason}" for reason, count in report.rejected.items()) or "none"
-    console.print(f"symmetric objects: {share:.0f}%; rejected scenes: {rejected}")
-    if report.movers.count:
-        pairs = report.movers.count
-        console.print(
-            f"moving objects per pair: {report.movers.mean:.2f}; pairs without motion: {report.motionless}/{pairs}; "
-            f"pairs with a moving camera: {report.moving_cameras}/{pairs}"
-        )
-    for entry in report.worst[:3]:
-        console.print(
-            f"worst: {entry.key} object {entry.label} ({entry.model}): {entry.depth_mm:.2f} mm", markup=False
-        )
+        """Check, print the problems first, and end with a verdict."""
+        if is_set(self.source):
+            if self.pair is not None or self.picture is not None:
+                raise DatasetError(f"{self.source}: --pair and --picture are for sources, and this is a data set")
+            check_set(self.source, limit=self.limit, as_json=self.json)
+            return
+        if self.limit is not None or self.json:
+            raise DatasetError(f"{self.source}: --limit and --json are for data sets: there is no manifest.json")
+        settings = build(DiagnosisSettings, parse_assignments(self.set))
+        with silence_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
+            source = self.open_path(self.source)
+            pair = read_pair(source, self.pair, settings=settings.source)
+            findings = examine_source(source, settings=settings.source)
+            findings += examine(pair.prev, pair.curr, settings=settings)
+        if self.picture is not None:
+            files.write_bytes(self.picture, encode_png(draw_depth_edges(pair.curr)))
+        print(f"{self.source}: {len(source)} frames, {source.camera}; frames {pair.prev_index} and {pair.curr_index}:")
+        print_findings(findings)
+        if self.picture is not None:
+            print(f"written to {self.picture}")
+        conclusion = verdict(findings)
+        if self.strict and any(finding.level == "suspicious" for finding in findings):
+            raise CheckError(f"{self.source}: {conclusion}")
+        print(f"verdict: {conclusion}")

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import CameraArguments, open_two, option
-from objectflow.diagnosis import Level, examine
+from objectflow.cli.findings import print_findings, verdict
+from objectflow.diagnosis import examine
 from objectflow.diagnosis.settings import DiagnosisSettings
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.settings import build, parse_assignments
@@ -21,8 +20,6 @@ EXAMPLES = """\
   objectflow check-pair PAIR_DIR
   objectflow check-pair color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240 --depth-scale 1000
 """
-
-MARKS: dict[Level, str] = {"fine": "[green]fine", "note": "[yellow]note", "suspicious": "[bold red]suspicious"}
 
 
 @dataclass(frozen=True)
@@ -45,12 +42,5 @@ class CheckPair(CameraArguments):
         with silence_stderr():
             prev, curr = open_two(self.paths, self.camera_options())
             findings = examine(prev, curr, settings=settings)
-        table = Table(show_edge=False)
-        for column in ("check", "", "finding"):
-            table.add_column(column, overflow="fold")
-        for finding in findings:
-            table.add_row(finding.check, MARKS[finding.level], finding.text)
-        console = Console()
-        console.print(table)
-        count = sum(finding.level == "suspicious" for finding in findings)
-        console.print(f"{count} suspicious" if count else "nothing suspicious")
+        print_findings(findings)
+        print(verdict(findings))

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import MethodArguments, ResultArguments, ViewArguments, location, open_two, option
+from objectflow.cli.findings import warn_of
 from objectflow.cli.output import new_result, print_objects, print_written, write_result
 from objectflow.frame import check_pair
 from objectflow.runtime.quiet import silence_stderr
@@ -51,6 +52,9 @@ class Estimate(ViewArguments, ResultArguments, MethodArguments):
             frames = open_two(self.paths, self.camera_options())
             prev, curr = frames
         check_pair(prev, curr)
+        for note in frames.notes:
+            print(f"note: {note}")
+        warn_of(prev, curr)
         # Frames are read first: a wrong path is reported before the method, which is slow to import, is loaded.
         from objectflow.view.viewer_frames import pair_frames
 

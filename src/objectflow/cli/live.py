@@ -12,12 +12,11 @@ from typing import Annotated
 
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import MethodArguments, TopicArguments, ViewArguments, option
+from objectflow.cli.arguments import MethodArguments, SourceArguments, ViewArguments, option
 from objectflow.cli.output import check_not_below_a_file
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.live import NewestFrame, Step, follow, replay
-from objectflow.readers import open_source
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.temporaries import sweep
@@ -40,7 +39,7 @@ HISTORY = 100_000
 
 
 @dataclass(frozen=True)
-class Live(ViewArguments, TopicArguments, MethodArguments):
+class Live(ViewArguments, SourceArguments, MethodArguments):
     """Track objects on the newest frames; frames that arrive during an estimate are dropped.
 
     Prints one line per estimate with the objects' ids, speeds and rotation rates. Ctrl-C stops. With --out,
@@ -106,10 +105,7 @@ class Live(ViewArguments, TopicArguments, MethodArguments):
             from objectflow.readers.realsense import read_realsense
 
             return read_realsense(Path(recording) if recording else None, real_time=True)
-        source = open_source(
-            Path(self.source), self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic
-        )
-        return replay(source, speed=self.speed, loop=self.loop)
+        return replay(self.open_path(Path(self.source)), speed=self.speed, loop=self.loop)
 
 
 def step_line(step: Step) -> str:

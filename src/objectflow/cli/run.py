@@ -13,20 +13,22 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow import __version__
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
-from objectflow.cli.arguments import MethodArguments, ResultArguments, TopicArguments, ViewArguments, option
+from objectflow.cli.arguments import MethodArguments, ResultArguments, SourceArguments, ViewArguments, option
+from objectflow.cli.findings import warn_of
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
+from objectflow.cli.progress import show_progress
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
 from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
-from objectflow.readers import CutOffWarning, FrameSource, open_source
+from objectflow.readers import CutOffWarning, FrameSource
+from objectflow.readers.read_ahead import ReadAhead
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
@@ -64,7 +66,7 @@ RUN_FOLDER = FolderKind(
 
 
 @dataclass(frozen=True)
-class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
+class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: a result folder per pair, a table, and a trajectory per object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
@@ -83,6 +85,14 @@ class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
 
     video: bool = False
     """Also write overlay.mp4, the overlays of all pairs."""
+    start: int = 0
+    """First frame; the first one of the source is 0."""
+
+    stop: Annotated[int | None, option("N", "the end")] = None
+    """Frame before which to stop."""
+
+    limit: Annotated[int | None, option("N", "all")] = None
+    """Largest number of pairs."""
 
     def run(self) -> None:
         """Read, estimate and write, pair by pair."""
@@ -90,69 +100,64 @@ class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
         if self.video and not self.pictures:
             raise ReaderError("--video is made of the pictures: leave out --no-pictures")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
-        with silence_stderr(), warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", CutOffWarning)
-            sequence = self._open()
-            parts = self._select(sequence)
+        with silence_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
+            source = self.open_path(self.source)
+            parts = self._select(source)
+        with ReadAhead(source, [index for part in parts for index in part]) as sequence:
             pairs = ReadablePairs(sequence, parts, is_done=lambda prev, curr: (out / _name((prev, curr))).is_dir())
-            ahead = iter(pairs)
+            count = sum(max(0, len(part) - 1) for part in parts)
+            todo = itertools.islice(pairs, count if self.limit is None else self.limit)
             # The first pair is read before the output folder is created.
-            first = next(ahead, None)
-        if first is None:
-            raise next(iter(pairs.left_out.values()), None) or ReaderError(f"{self.source}: no pair of frames")
-        notes = [*(str(warning.message) for warning in caught), *sequence.notes]
-        for note in notes:
-            print(f"note: {note}")
-        # A wrong path is reported before the method, which is slow to load.
-        estimator = self.estimator()
-        with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
-            if self.out is None:
-                link_latest(out)
-            finished: list[tuple[int, int]] = []
-            skipped = 0
-            console = Console(stderr=True)
-            with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-                task = progress.add_task("pairs", total=sum(len(part) - 1 for part in parts if part))
+            with silence_stderr():
+                first = next(todo, None)
+            if first is None:
+                raise next(iter(pairs.left_out.values()), None) or ReaderError(f"{self.source}: no pair of frames")
+            for note in source.notes:
+                print(f"note: {note}")
+            # A wrong path is reported before the method, which is slow to load.
+            estimator = self.estimator()
+            with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
+                if self.out is None:
+                    link_latest(out)
+                finished: list[tuple[int, int]] = []
+                skipped = 0
                 last: tuple[int, PreparedFrame] | None = None
                 shown = RunFrames(sequence)
                 tracks = RunTracks(sequence, parts)
-                for prev_index, curr_index in itertools.chain([first], ahead):
-                    result = out / _name((prev_index, curr_index))
-                    if result.is_dir():
-                        skipped += 1
-                        with silence_stderr():
+                with show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance:
+                    for prev_index, curr_index in itertools.chain([first], todo):
+                        result = out / _name((prev_index, curr_index))
+                        if result.is_dir():
+                            skipped += 1
                             tracks.add(prev_index, curr_index, sequence[curr_index], SceneMotion.load(result))
-                    else:
-                        with silence_stderr():
+                        else:
                             curr = pairs.read(curr_index)
+                            if last is None:
+                                warn_of(sequence[prev_index], curr)
                             prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
-                        # Reuse what the last pair computed on its current frame.
-                        pair = FramePair(prev, curr)
-                        motion = estimate_pair(estimator, pair)
-                        marks = tracks.add(prev_index, curr_index, curr, motion)
-                        with files.new_folder(result) as folder:
-                            write_result(
-                                folder, curr, motion, tracks=marks, pictures=self.pictures, exports=self.export
-                            )
-                        last = (curr_index, pair.curr)
-                    finished.append((prev_index, curr_index))
-                    progress.advance(task)
-                    viewer.show(partial(shown.read, result, prev_index, curr_index))
-            write_tracks(out, tracks.tracker)
-            count = len(tracks.tracker.tracks)
-            if self.video:
-                overlays = [out / _name(pair) / "overlay.png" for pair in finished]
-                write_video(out / VIDEO, overlays, tracks.frame_rate)
-            _summarise(out, finished, skipped=skipped)
-            _report(out, notes, pairs.left_out)
-            if count:
-                print(f"{count} object{'s' * (count != 1)} followed: {TRACKS}, {TRAJECTORIES}")
+                            # Reuse what the last pair computed on its current frame.
+                            pair = FramePair(prev, curr)
+                            motion = estimate_pair(estimator, pair)
+                            marks = tracks.add(prev_index, curr_index, curr, motion)
+                            with files.new_folder(result) as folder:
+                                write_result(
+                                    folder, curr, motion, tracks=marks, pictures=self.pictures, exports=self.export
+                                )
+                            last = (curr_index, pair.curr)
+                        finished.append((prev_index, curr_index))
+                        advance()
+                        viewer.show(partial(shown.read, result, prev_index, curr_index))
+                write_tracks(out, tracks.tracker)
+                followed = len(tracks.tracker.tracks)
+                if self.video:
+                    overlays = [out / _name(pair) / "overlay.png" for pair in finished]
+                    write_video(out / VIDEO, overlays, tracks.frame_rate)
+                _summarise(out, finished, skipped=skipped)
+                _report(out, source.notes, pairs.left_out)
+                if followed:
+                    print(f"{followed} object{'s' * (followed != 1)} followed: {TRACKS}, {TRAJECTORIES}")
         print_written(out)
-
-    def _open(self) -> FrameSource:
-        return open_source(
-            self.source, self.camera_options(), color_topic=self.color_topic, depth_topic=self.depth_topic
-        )
 
     def _select(self, sequence: FrameSource) -> list[list[int]]:
         """The selected frames of each part of the sequence."""
@@ -160,11 +165,15 @@ class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
             raise ReaderError("--every must be at least 1 and --dt above 0")
         if self.dt is not None and self.every > 1:
             raise ReaderError("both --every and --dt are given: leave one out")
+        if self.start < 0 or (self.stop is not None and self.stop < 1) or (self.limit is not None and self.limit < 1):
+            raise ReaderError("--start must be at least 0, --stop and --limit at least 1")
         if self.dt is not None and any(sequence.timestamp(index) is None for index in range(len(sequence))):
             raise ReaderError(f"{self.source} has no times: use --every instead of --dt")
-        parts = select_frames(sequence, self.every, self.dt)
+        parts = select_frames(sequence, self.every, self.dt, self.start, self.stop)
         if all(len(part) < 2 for part in parts):
             taken = f"every {self.every} taken" if self.dt is None else f"one every {self.dt:g} s taken"
+            if self.start or self.stop is not None:
+                taken += f" from --start {self.start}" + (f" to --stop {self.stop}" if self.stop is not None else "")
             raise ReaderError(
                 f"{self.source}: {len(sequence)} frame{'s' * (len(sequence) != 1)}, {taken}: a pair needs two"
             )
@@ -177,11 +186,13 @@ class Run(ViewArguments, ResultArguments, TopicArguments, MethodArguments):
             "source": str(self.source.resolve()),
             "every": self.every,
             "dt": self.dt,
+            "start": self.start,
             "topics": [self.color_topic, self.depth_topic],
             "method": self.method,
             "camera": self.camera,
             "intrinsics": sequence.camera.to_dict(),
             "depth_scale": sequence.depth_scale,
+            "options": self.camera_options().to_dict(),
             "rigid": self.rigid,
             "weights_sha256": None if weights is None else hash_file(Path(weights)),
             "version": __version__,
@@ -232,7 +243,7 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
 
 
-def _report(out: Path, notes: list[str], left_out: dict[int, ReaderError | FrameError]) -> None:
+def _report(out: Path, notes: tuple[str, ...], left_out: dict[int, ReaderError | FrameError]) -> None:
     """Print the frames that were left out, and write them with the notes on the source to `notes.txt`, if any."""
     lines = [f"frame {index} left out: {' '.join(str(error).split())}" for index, error in left_out.items()]
     if notes or lines:

@@ -17,19 +17,23 @@ MAX_LEADING_FAILURES = 100
 """Number of frames that are tried at the start; if none of them can be read, none of the sequence can."""
 
 
-def select_frames(sequence: FrameSource, every: int, dt: float | None) -> list[list[int]]:
+def select_frames(
+    sequence: FrameSource, every: int, dt: float | None, start: int = 0, stop: int | None = None
+) -> list[list[int]]:
     """Select every N-th frame, or a frame every `dt` seconds, separately before and after each cut of the sequence.
 
     Args:
         sequence: the frames.
         every: step in frames; ignored if `dt` is given.
         dt: smallest time between two frames, seconds; the sequence must have times.
+        start, stop: first frame, and the frame before which to stop; None for the end.
 
     Returns:
         Ascending frame numbers, one list per part of the sequence.
     """
     bounds = [0, *sequence.cuts, len(sequence)]
-    parts = [range(start, end) for start, end in itertools.pairwise(bounds)]
+    last = len(sequence) if stop is None else stop
+    parts = [range(max(first, start), min(end, last)) for first, end in itertools.pairwise(bounds)]
     if dt is None:
         return [list(part[::every]) for part in parts]
     return [_by_time(sequence, part, dt) for part in parts]

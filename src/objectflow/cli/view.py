@@ -170,6 +170,8 @@ class View(CameraArguments):
 
 
 def _options(settings: dict[str, Any]) -> CameraOptions:
+    if "options" in settings:
+        return CameraOptions.from_dict(settings["options"])
     camera = settings["intrinsics"]
     intrinsics = (float(camera["fx"]), float(camera["fy"]), float(camera["cx"]), float(camera["cy"]))
     return CameraOptions(intrinsics=intrinsics, depth_scale=float(settings["depth_scale"]))

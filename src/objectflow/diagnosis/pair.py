@@ -51,8 +51,8 @@ def examine(
             depth_checks.check_steps(frame, name, settings.depth),
             depth_checks.check_planar(frame, name, rng),
         ]
-    findings.append(_registration(prev, curr, scale, settings.registration))
-    identical = _identical(prev, curr)
+    findings.append(check_registration(prev, curr, scale, settings.registration))
+    identical = check_identical(prev, curr)
     findings.append(identical)
     if identical.level == "fine":
         prev_T_curr = moving_camera.find_camera_motion(FramePair(prev, curr), seed=seed)
@@ -63,8 +63,14 @@ def examine(
     return findings
 
 
-def _registration(prev: RgbdFrame, curr: RgbdFrame, scale: float, settings: RegistrationCheckSettings) -> Finding:
-    """Check that depth is registered to colour; both frames must agree, as texture may mislead a single frame."""
+def check_registration(prev: RgbdFrame, curr: RgbdFrame, scale: float, settings: RegistrationCheckSettings) -> Finding:
+    """Check that depth is registered to colour; both frames must agree, as texture may mislead a single frame.
+
+    Args:
+        prev, curr: the frames.
+        scale: original pixels per pixel of the frames, for the message.
+        settings: thresholds.
+    """
     offsets = [estimate_offset(frame, settings) for frame in (prev, curr)]
     if offsets[0] is None or offsets[1] is None:
         return Finding("registration", "note", "too few depth edges to tell whether depth is registered to colour")
@@ -81,7 +87,8 @@ def _registration(prev: RgbdFrame, curr: RgbdFrame, scale: float, settings: Regi
     return Finding("registration", "fine", "depth edges coincide with colour edges")
 
 
-def _identical(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
+def check_identical(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
+    """Check that no image of the previous frame is repeated in the current one."""
     for attribute, name in (("color", "colour"), ("depth", "depth")):
         if np.array_equal(getattr(prev, attribute), getattr(curr, attribute)):
             return Finding("two frames", "suspicious", f"the {name} images of the two frames are identical")

@@ -41,7 +41,7 @@ def estimate_offset(frame: RgbdFrame, settings: RegistrationCheckSettings = DEFA
     """
     limit = max(3, round(settings.max_shift * frame.camera.width))
     gradients = _color_gradients(frame.color)
-    edges = [_inner(edge, limit) for edge in _depth_edges(frame.depth)]
+    edges = [_inner(edge, limit) for edge in find_depth_edges(frame.depth)]
     if sum(len(rows) for rows, _ in edges) < settings.min_edges:
         return None
     shifts = np.arange(-limit, limit + 1)
@@ -62,7 +62,7 @@ def estimate_offset(frame: RgbdFrame, settings: RegistrationCheckSettings = DEFA
 def edge_alignment(frame: RgbdFrame) -> float:
     """Mean colour gradient, 0..1, on the depth edges; NaN if there are none."""
     gradients = _color_gradients(frame.color)
-    values = [gradient[edge] for edge, gradient in zip(_depth_edges(frame.depth), gradients, strict=True)]
+    values = [gradient[edge] for edge, gradient in zip(find_depth_edges(frame.depth), gradients, strict=True)]
     on_edges = np.concatenate(values)
     return float(on_edges.mean()) if len(on_edges) else float("nan")
 
@@ -75,8 +75,15 @@ def _color_gradients(color: UInt8Array) -> tuple[Float32Array, Float32Array]:
     return tuple(np.minimum(gradient / limit, 1).astype(np.float32) for gradient in gradients)
 
 
-def _depth_edges(depth: Float32Array) -> tuple[BoolMask, BoolMask]:
-    """Pixels on the near side of a depth step along x and along y, without the unreliable edges of missing depth."""
+def find_depth_edges(depth: Float32Array) -> tuple[BoolMask, BoolMask]:
+    """Pixels on the near side of a depth step, without the unreliable edges of missing depth.
+
+    Args:
+        depth: (H, W) metres, 0 where missing.
+
+    Returns:
+        Two (H, W) masks: steps along x and steps along y.
+    """
     out = []
     for axis in (1, 0):
         step = np.zeros(depth.shape, bool)

@@ -36,10 +36,34 @@ class RegistrationCheckSettings(Settings):
 
 
 @dataclass(frozen=True)
+class QuickCheckSettings(Settings):
+    """The screening for unregistered depth before every run; the full check follows only where it finds a shift."""
+
+    width: int = setting(320, minimum=16)
+    """Pixels: width at which a shift of depth is searched."""
+    min_offset: float = setting(2.0, minimum=0)
+    """Pixels at that width: smallest shift that is followed by the full check."""
+
+
+@dataclass(frozen=True)
+class SourceCheckSettings(Settings):
+    """The checks of a whole source."""
+
+    samples: int = setting(8, minimum=1)
+    """Number of pairs of consecutive frames that are compared for repeated images."""
+    min_gap: float = setting(0.3, minimum=0)
+    """Seconds: smallest time between the two frames that are examined, if frames have times."""
+    large_gap: float = setting(5.0, above=1)
+    """Time between two frames that is reported as a gap, in median periods."""
+
+
+@dataclass(frozen=True)
 class DiagnosisSettings(Settings):
-    """The checks of a pair."""
+    """The checks of a pair and of a source."""
 
     width: int = setting(640, minimum=16)
     """Pixels: wider frames are downscaled to it; offsets are reported in original pixels."""
     depth: DepthCheckSettings = DepthCheckSettings()
     registration: RegistrationCheckSettings = RegistrationCheckSettings()
+    quick: QuickCheckSettings = QuickCheckSettings()
+    source: SourceCheckSettings = SourceCheckSettings()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from objectflow.errors import ReaderError
 from objectflow.readers.azure_kinect import is_azure_kinect, open_azure_kinect
+from objectflow.readers.bag_paths import is_bag_file, is_bag_folder
 from objectflow.readers.bop import is_bop, open_bop
 from objectflow.readers.folder import open_folder
 from objectflow.readers.known_scenes import is_replica, is_seven_scenes, open_replica, open_seven_scenes
@@ -32,7 +33,6 @@ __all__ = [
     "open_tum",
 ]
 
-BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 FILE_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path, CameraOptions | None], FrameSource]], ...] = (
     (is_record3d, open_record3d),
     (is_azure_kinect, open_azure_kinect),
@@ -49,13 +49,6 @@ FOLDER_KINDS: tuple[tuple[Callable[[Path], bool], Callable[[Path, CameraOptions 
     (is_pair, open_pair),
 )
 """Layouts of folders in the order in which they are tried; any other folder must hold numbered frames."""
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a bag file or a ROS 2 bag folder."""
-    if path.is_file():
-        return path.suffix in BAG_SUFFIXES
-    return (path / "metadata.yaml").is_file() or any(any(path.glob(f"*{end}")) for end in BAG_SUFFIXES[1:])
 
 
 def open_source(
@@ -80,7 +73,7 @@ def open_source(
         FrameError: invalid depth scale.
     """
     path = Path(path)
-    if path.exists() and is_bag(path):
+    if is_bag_file(path) or (path.is_dir() and is_bag_folder(path)):
         from objectflow.readers.bag import open_bag
 
         return open_bag(path, options, color_topic=color_topic, depth_topic=depth_topic)

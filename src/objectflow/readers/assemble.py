@@ -12,6 +12,7 @@ from objectflow.errors import ObjectflowError, ReaderError
 from objectflow.readers.camera_values import CameraValues
 from objectflow.readers.frame_steps import ColorAtDepth, DepthAtColor, PlanarDepth
 from objectflow.readers.options import DEFAULT_DEPTH_SCALE, CameraOptions, CameraSetup
+from objectflow.readers.rectify import Rectification
 from objectflow.readers.sequence import FramePaths, FrameSequence, FrameStep
 from objectflow.storage.image_files import read_size
 
@@ -91,6 +92,9 @@ def assemble(
         if depth_size != color_size:
             steps.append(DepthAtColor(depth_size))
             said.append(_resized_note(color_size, depth_size, image))
+        if setup.lens is not None:
+            steps.append(Rectification(setup.lens, camera))
+            said.append(f"colour and depth are undistorted ({setup.lens.model} lens)")
     if layout.ray_length:
         steps.append(PlanarDepth(camera))
     if setup.note:

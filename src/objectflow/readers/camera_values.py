@@ -11,6 +11,7 @@ import numpy as np
 
 from objectflow.errors import CameraError
 from objectflow.geometry.camera import Camera
+from objectflow.readers.lens import Lens, make_lens
 from objectflow.typing import Float64Array
 
 
@@ -47,6 +48,18 @@ class CameraValues:
         width, height = self.size or size
         try:
             return Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx, cy=self.cy)
+        except CameraError as error:
+            raise CameraError(f"{where}: {error}") from error
+
+    def lens(self, where: str) -> Lens | None:
+        """The distortion; None for a pinhole.
+
+        Raises:
+            CameraError: an unknown model; the message starts with `where`.
+        """
+        try:
+            # The names of librealsense have the prefix "distortion.".
+            return make_lens(self.distortion_model.rpartition(".")[2], self.distortion)
         except CameraError as error:
             raise CameraError(f"{where}: {error}") from error
 

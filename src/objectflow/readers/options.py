@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.readers.camera_files import find_camera_file, read_camera_file
 from objectflow.readers.camera_values import CameraValues, check_upright
-from objectflow.storage.image_files import read_size
+from objectflow.readers.lens import Lens
 
 DEFAULT_DEPTH_SCALE = 1000.0
 """Default units per metre of integer depth; most depth cameras write millimetres."""
@@ -30,14 +32,14 @@ class CameraSetup(NamedTuple):
         camera: of the images.
         depth_scale: units per metre of integer depth.
         float_depth_scale: units per metre of floating-point depth.
-        values: the camera file's content, for its distortion; None without a file.
+        lens: the distortion of the images; None where there is none.
         note: what the camera file was taken to mean; empty where that is clear.
     """
 
     camera: Camera
     depth_scale: float
     float_depth_scale: float = 1.0
-    values: CameraValues | None = None
+    lens: Lens | None = None
     note: str = ""
 
 
@@ -66,33 +68,29 @@ class CameraOptions:
             if value is not None and not 0 < value < float("inf"):
                 raise ReaderError(f"{name} must be a positive number, not {value}")
 
+    def to_dict(self) -> dict[str, Any]:
+        """The options as JSON values, with an absolute path of the camera file."""
+        file = self.camera_file
+        named = None if file is None else str(file if self._is_named() else file.resolve())
+        return {**dataclasses.asdict(self), "camera_file": named, "intrinsics": self.intrinsics and [*self.intrinsics]}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> CameraOptions:
+        """The options of `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: values that `to_dict` does not make.
+        """
+        file, intrinsics = values["camera_file"], values["intrinsics"]
+        numbers = (values[name] for name in ("depth_scale", "max_depth", "max_lag"))
+        scale, depth, lag = (None if value is None else float(value) for value in numbers)
+        four = None if intrinsics is None else (*map(float, intrinsics),)
+        return cls(None if file is None else Path(file), four, scale, depth, lag)  # type: ignore[arg-type]
+
     @property
     def has_camera(self) -> bool:
         """Whether the caller gives a camera."""
         return self.camera_file is not None or self.intrinsics is not None
-
-    def resolve(
-        self,
-        folder: Path,
-        first_image: Path,
-        default_scale: float = DEFAULT_DEPTH_SCALE,
-        default_camera: CameraValues | None = None,
-    ) -> CameraSetup:
-        """Find the camera of a folder of images.
-
-        Args:
-            folder: may hold a camera file.
-            first_image: an image of the source, whose size the camera must have.
-            default_scale: units per metre of integer depth if neither the caller nor the file sets them.
-            default_camera: the camera of the layout, if neither the caller nor a file gives one.
-
-        Raises:
-            ReaderError: there is no camera, two cameras are given, the camera has another image size, or a file
-                cannot be read.
-            CameraError: invalid intrinsics.
-            FrameError: invalid depth scale.
-        """
-        return self.fit(read_size(first_image), folder, str(first_image), default_scale, default_camera)
 
     def fit(
         self,
@@ -102,7 +100,21 @@ class CameraOptions:
         default_scale: float = DEFAULT_DEPTH_SCALE,
         default_camera: CameraValues | None = None,
     ) -> CameraSetup:
-        """The camera of images of a size (width, height); other arguments and errors as for `resolve`."""
+        """Find the camera of images of one size.
+
+        Args:
+            size: (width, height) of the images, which the camera must have.
+            folder: may hold a camera file.
+            image: an image of the source, for messages.
+            default_scale: units per metre of integer depth if neither the caller nor the file sets them.
+            default_camera: the camera of the layout, if neither the caller nor a file gives one.
+
+        Raises:
+            ReaderError: there is no camera, two cameras are given, the camera has another image size, or a file
+                cannot be read.
+            CameraError: invalid intrinsics.
+            FrameError: invalid depth scale.
+        """
         if self.camera_file is not None and self.intrinsics is not None:
             raise ReaderError("both a camera file and intrinsics are given: leave one out")
         if self.depth_scale is not None:
@@ -125,7 +137,8 @@ class CameraOptions:
                 f"but {image} is {width}x{height}: give the intrinsics of that size"
             )
         scale = self.depth_scale or (values and values.depth_scale) or default_scale
-        return CameraSetup(camera, scale, self.depth_scale or 1.0, values, values.note if values else "")
+        lens, note = (None, "") if values is None else (values.lens(where), values.note)
+        return CameraSetup(camera, scale, self.depth_scale or 1.0, lens, note)
 
     def _is_named(self) -> bool:
         return (

@@ -1,47 +1,46 @@
-"""ROS image messages as arrays: raw, `compressed` and `compressedDepth`."""
+"""ROS image messages as arrays: raw images and the transports `compressed` and `compressedDepth`."""
 
 from __future__ import annotations
 
 import struct
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
+from objectflow.readers.decoders import (
+    COLOR_LAYOUTS,
+    DEPTH_LAYOUTS,
+    Layout,
+    decode_coded,
+    decode_rvl,
+    raw_pixels,
+    to_rgb8,
+)
+from objectflow.storage.coded_images import PNG_START
+from objectflow.storage.foreign import foreign_errors
+from objectflow.storage.image_files import to_metres
 from objectflow.typing import Float32Array, UInt8Array
 
-_DEPTH = {"16uc1", "mono16", "32fc1"}
-_LAYOUTS: dict[str, tuple[type[np.generic], int, int | None]] = {
-    "rgb8": (np.uint8, 3, None),
-    "bgr8": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "8uc3": (np.uint8, 3, cv2.COLOR_BGR2RGB),
-    "rgba8": (np.uint8, 4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
-    "8uc4": (np.uint8, 4, cv2.COLOR_BGRA2RGB),
-    "mono8": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
-    "8uc1": (np.uint8, 1, cv2.COLOR_GRAY2RGB),
-    "bayer_rggb8": (np.uint8, 1, cv2.COLOR_BayerRGGB2RGB),
-    "bayer_bggr8": (np.uint8, 1, cv2.COLOR_BayerBGGR2RGB),
-    "bayer_gbrg8": (np.uint8, 1, cv2.COLOR_BayerGBRG2RGB),
-    "bayer_grbg8": (np.uint8, 1, cv2.COLOR_BayerGRBG2RGB),
-    "16uc1": (np.uint16, 1, None),
-    "mono16": (np.uint16, 1, None),
-    "32fc1": (np.float32, 1, None),
-}
-_PNG = b"\x89PNG"
+_DEPTH_WORDS = (*DEPTH_LAYOUTS, "mono16")
+_DEPTH_HEADER = 12
+"""Length in bytes of the header of compressedDepth: the format, and two parameters of quantised inverse depth."""
 
 
 def is_depth(message: Any) -> bool | None:
-    """Whether an image message holds depth according to its encoding or format; None if it is not an image.
+    """Whether an image message holds depth according to its encoding, format or PNG header; None if it is no image.
 
     Two bytes per pixel with an 8-bit encoding count as depth, so that `to_depth` can report the wrong encoding.
     """
     if hasattr(message, "encoding"):
-        return str(message.encoding).lower() in _DEPTH or _is_mislabelled(message)
+        return _encoding(message) in _DEPTH_WORDS or _is_mislabelled(message)
     if hasattr(message, "format"):
-        return "compresseddepth" in str(message.format).lower().replace(" ", "")
+        kind = _format(message)
+        start = bytes(message.data[:32])
+        # A PNG states its bit depth and its colour type (0 = grey) after its size.
+        is_grey16 = start.startswith(PNG_START) and start[24:26] == b"\x10\x00"
+        return "compresseddepth" in kind or kind.split(";")[0] in _DEPTH_WORDS or is_grey16
     return None
 
 
@@ -52,88 +51,108 @@ def to_color(message: Any, topic: str) -> UInt8Array:
         ReaderError: the message is not a colour image or is broken.
     """
     if hasattr(message, "format"):
-        image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise ReaderError(f"{topic}: an image in format {message.format!r} cannot be decoded")
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-    encoding = str(message.encoding).lower()
-    if encoding in _DEPTH:
+        return _coded_color(message, topic)
+    encoding = _encoding(message)
+    if encoding in DEPTH_LAYOUTS:
         raise ReaderError(f"{topic}: encoding {message.encoding} is depth, not colour: name another --color-topic")
-    pixels, conversion = _pixels(message, topic)
-    return np.ascontiguousarray(pixels if conversion is None else cv2.cvtColor(pixels, conversion), dtype=np.uint8)
+    layout = COLOR_LAYOUTS.get(encoding)
+    if layout is None:
+        raise ReaderError(
+            f"{topic}: image encoding {message.encoding!r} is not supported; supported: {', '.join(COLOR_LAYOUTS)}"
+        )
+    return to_rgb8(_pixels(message, layout, topic), layout.to_rgb)
 
 
-def to_depth(message: Any, topic: str, depth_scale: float) -> Float32Array:
-    """Decode an Image or compressedDepth message to (H, W) float32 metres, 0 = missing.
+def to_depth(
+    message: Any, topic: str, depth_scale: float, float_depth_scale: float = 1.0, max_depth: float | None = None
+) -> Float32Array:
+    """Decode an Image or CompressedImage message to (H, W) float32 metres, 0 = missing.
 
     Args:
-        message: integer depth is in units of 1 / `depth_scale` metres; floating-point depth is in metres (REP 118).
+        message: 16-bit or floating-point depth; floating-point depth is in metres by REP 118.
         topic: for error messages.
-        depth_scale: units per metre.
+        depth_scale: units per metre of integer depth.
+        float_depth_scale: units per metre of floating-point depth.
+        max_depth: depth beyond it is missing, metres; None for no limit.
 
     Raises:
         ReaderError: the message is not a depth image or is broken.
     """
     if hasattr(message, "format"):
-        raw = _decompress_depth(bytes(message.data), str(message.format), topic)
+        raw = _coded_depth(bytes(message.data), message, topic)
     elif _is_mislabelled(message):
         size = int(message.step) // int(message.width)
         raise ReaderError(
             f"{topic}: encoding {message.encoding} has 1 byte per pixel, but the rows have {size}: "
             "the encoding of 16-bit depth must be 16UC1"
         )
-    elif str(message.encoding).lower() not in _DEPTH:
-        raise ReaderError(
-            f"{topic}: encoding {message.encoding} is not depth (16UC1, mono16 or 32FC1): name another --depth-topic"
-        )
     else:
-        raw = _pixels(message, topic)[0]
-    if raw.dtype == np.uint16:
-        return np.asarray(raw / np.float32(depth_scale), dtype=np.float32)
-    metres = np.asarray(raw, dtype=np.float32)
-    return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
+        encoding = _encoding(message)
+        layout = DEPTH_LAYOUTS.get(encoding) or (COLOR_LAYOUTS["mono16"] if encoding == "mono16" else None)
+        if layout is None:
+            raise ReaderError(
+                f"{topic}: encoding {message.encoding} is not depth (16UC1, 32FC1, 64FC1 or mono16): "
+                "name another --depth-topic"
+            )
+        raw = _pixels(message, layout, topic)
+    return to_metres(raw, depth_scale=depth_scale, float_depth_scale=float_depth_scale, max_depth=max_depth)
+
+
+def _encoding(message: Any) -> str:
+    return str(message.encoding).strip().lower()
+
+
+def _format(message: Any) -> str:
+    """The format of a CompressedImage without spaces, such as `16uc1;compresseddepthpng`."""
+    return str(message.format).lower().replace(" ", "")
 
 
 def _is_mislabelled(message: Any) -> bool:
-    return str(message.encoding).lower() in ("mono8", "8uc1") and int(message.step) >= 2 * int(message.width) > 0
+    return _encoding(message) in ("mono8", "8uc1") and int(message.step) >= 2 * int(message.width) > 0
 
 
-def _pixels(message: Any, topic: str) -> tuple[NDArray[Any], int | None]:
-    """The array of a raw image, and the OpenCV conversion to RGB."""
-    encoding = str(message.encoding).lower()
-    if encoding not in _LAYOUTS:
-        raise ReaderError(
-            f"{topic}: image encoding {message.encoding!r} is not supported; supported: {', '.join(_LAYOUTS)}"
-        )
-    kind, channels, conversion = _LAYOUTS[encoding]
-    height, width, step = int(message.height), int(message.width), int(message.step)
-    row = width * channels * np.dtype(kind).itemsize
-    data = np.frombuffer(bytes(message.data), np.uint8)
-    if height < 1 or width < 1 or step < row or len(data) < height * step:
-        raise ReaderError(
-            f"{topic}: an image of {width}x{height} {message.encoding} with rows of {step} bytes is broken"
-        )
-    layout = np.dtype(kind).newbyteorder(">" if int(message.is_bigendian) else "<")
-    rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, :row])
-    pixels = rows.view(layout).astype(kind)
-    return pixels.reshape((height, width, channels) if channels > 1 else (height, width)), conversion
+def _pixels(message: Any, layout: Layout, topic: str) -> NDArray[Any]:
+    return raw_pixels(
+        message.data,
+        layout,
+        width=int(message.width),
+        height=int(message.height),
+        step=int(message.step),
+        big_endian=bool(message.is_bigendian),
+        where=f"{topic} ({message.encoding})",
+    )
 
 
-def _decompress_depth(data: bytes, kind: str, topic: str) -> NDArray[Any]:
-    """Decode the compressedDepth transport: a 12-byte header (format, a, b), then a 16-bit PNG.
+def _coded_color(message: Any, topic: str) -> UInt8Array:
+    where = f"{topic} ({message.format})"
+    image = decode_coded(bytes(message.data), where)
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if image.dtype not in (np.uint8, np.uint16) or channels not in (1, 3, 4):
+        raise ReaderError(f"{where}: {channels} channels of type {image.dtype} are not colour")
+    source = COLOR_LAYOUTS.get(_format(message).split(";")[0])
+    if channels == 1 and source is not None and source.channels == 1:
+        # A Bayer pattern may be compressed as it is.
+        return to_rgb8(image.reshape(image.shape[:2]), source.to_rgb)
+    names = {1: "mono8", 3: "rgb8", 4: "rgba8"}
+    return to_rgb8(image, COLOR_LAYOUTS[names[channels]].to_rgb)
 
-    Floating-point depth is stored as quantised inverse depth: `z = a / (value - b)`.
+
+def _coded_depth(data: bytes, message: Any, topic: str) -> NDArray[Any]:
+    """Decode a 16-bit PNG, or the compressedDepth transport: a header, then a PNG or RVL.
+
+    Floating-point depth in compressedDepth is stored as quantised inverse depth: `z = a / (value - b)`.
     """
-    start = data.find(_PNG)
-    if start < 0:
-        raise ReaderError(f"{topic}: depth in format {kind!r} holds no PNG: only PNG compression is supported")
-    image = cv2.imdecode(np.frombuffer(data[start:], np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None or image.dtype != np.uint16 or image.ndim != 2:
-        raise ReaderError(f"{topic}: depth in format {kind!r} is not a 16-bit PNG")
-    if "32fc1" not in kind.lower():
-        return np.asarray(image)
-    if start < 12:
-        raise ReaderError(f"{topic}: depth in format {kind!r} lacks the compressedDepth header")
-    a, b = struct.unpack("<ff", data[start - 8 : start])
+    where, kind = f"{topic} ({message.format})", _format(message)
+    if "rvl" in kind:
+        image: NDArray[Any] = decode_rvl(data[_DEPTH_HEADER:], where)
+    else:
+        start = max(0, data.find(PNG_START, 0, 4 * _DEPTH_HEADER))
+        image = decode_coded(data[start:], where)
+        if image.ndim != 2 or image.dtype not in (np.uint16, np.float32):
+            raise ReaderError(f"{where}: {image.dtype} of shape {image.shape} is not depth (16 bits, one channel)")
+    if image.dtype != np.uint16 or not ("compresseddepth" in kind and "32fc1" in kind):
+        return image
+    with foreign_errors(ReaderError, f"{where}: the header of compressedDepth is missing"):
+        a, b = struct.unpack_from("<ff", data, 4)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(image > 0, a / (image.astype(np.float32) - b), 0).astype(np.float32)
+        return np.where(image > 0, a / (image.astype(np.float32) - np.float32(b)), 0).astype(np.float32)

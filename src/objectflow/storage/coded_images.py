@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from objectflow.errors import ReaderError
 from objectflow.storage.foreign import foreign_errors
 
+MAX_PIXELS = 64_000_000
+"""Largest image that is decoded, in pixels."""
 PNG_START = b"\x89PNG\r\n\x1a\n"
 _HEADERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 """Formats whose header is read, by their names in Pillow."""
@@ -36,8 +38,8 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
         try:
             with Image.open(file, formats=_HEADERS) as image:
                 return image.size
-        except Image.DecompressionBombError as error:
-            raise ReaderError(f"{path}: too many pixels: {error}") from error
+        except Image.DecompressionBombError:
+            raise ReaderError(f"{path}: too many pixels (at most {MAX_PIXELS // 1_000_000} megapixels)") from None
         except UnidentifiedImageError:
             raise ReaderError(
                 f"{path}: not an image that can be decoded (PNG, JPEG, TIFF, EXR, NPY, NPZ, PGM, PPM, PFM, WebP or "

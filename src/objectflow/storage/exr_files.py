@@ -27,10 +27,8 @@ def exr_size(path: Path) -> tuple[int, int]:
         ReaderError: a broken header.
         MissingExtraError: OpenEXR is not installed.
     """
-    openexr = _library()
     with foreign_errors(ReaderError, f"{path}: not an OpenEXR file that can be read"):
-        low, high = openexr.File(str(path), header_only=True).header()["dataWindow"]
-        return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+        return _window(_read_header(path))
 
 
 def read_exr(path: Path) -> NDArray[Any]:
@@ -42,17 +40,38 @@ def read_exr(path: Path) -> NDArray[Any]:
         ReaderError: broken data, or no channel that may be depth.
         MissingExtraError: OpenEXR is not installed.
     """
-    openexr = _library()
     with foreign_errors(ReaderError, f"{path}: not an OpenEXR file that can be read"):
-        channels = openexr.File(str(path), separate_channels=True).channels()
-        arrays = {name: np.asarray(channel.pixels) for name, channel in channels.items()}
-    if len(arrays) == 1:
-        return next(iter(arrays.values()))
+        # `File` reports a damaged header, which crashes the header of `InputFile`; `InputFile` raises an error where
+        # pixels are damaged, which `File` prints to standard output.
+        header = _read_header(path)
+        width, height = _window(header)
+        name = _depth_channel([channel.name for channel in header["channels"]], path)
+        openexr = _library()
+        file = openexr.InputFile(str(path))
+        stored = file.channel(name)
+        if len(stored) == 2 * width * height:
+            return np.frombuffer(stored, np.float16).reshape(height, width)
+        return np.frombuffer(file.channel(name, openexr.FLOAT), np.float32).reshape(height, width)
+
+
+def _read_header(path: Path) -> dict[str, Any]:
+    header: dict[str, Any] = _library().File(str(path), header_only=True).header()
+    return header
+
+
+def _window(header: dict[str, Any]) -> tuple[int, int]:
+    low, high = header["dataWindow"]
+    return int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
+
+
+def _depth_channel(names: list[str], path: Path) -> str:
+    if len(names) == 1:
+        return names[0]
     for wanted in DEPTH_CHANNELS:
-        for name, array in arrays.items():
+        for name in names:
             if name.rpartition(".")[2] == wanted:
-                return array
-    raise ReaderError(f"{path}: no depth channel (Z, Y, V or R) among {', '.join(sorted(arrays)) or 'none'}")
+                return name
+    raise ReaderError(f"{path}: no depth channel (Z, Y, V or R) among {', '.join(sorted(names)) or 'none'}")
 
 
 def _library() -> Any:

@@ -23,14 +23,13 @@ from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
 from objectflow.storage import array_files, coded_images, exr_files
+from objectflow.storage.coded_images import MAX_PIXELS
 from objectflow.typing import Float32Array, UInt8Array
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".npy", ".npz", ".pgm", ".ppm", ".pnm", ".pfm", ".webp", ".bmp"}
 )
 """Suffixes of image files, in lower case; the suffixes of files may have any case."""
-MAX_PIXELS = 64_000_000
-"""Largest image that is decoded, in pixels."""
 MAX_FILE_BYTES = 1 << 30
 """Largest image file that is read, in bytes."""
 DEPTH_NAMES = ("depth", "depth_map", "z", "arr_0")
@@ -128,7 +127,7 @@ def to_metres(
             missing |= np.isinf(depth)
         # Wide types are scaled before the cast, because large integers and doubles may not fit float32.
         scale = np.float32(float_depth_scale if floating else depth_scale)
-        wide = depth.astype(np.float64 if depth.dtype.itemsize > 4 else np.float32)
+        wide: NDArray[Any] = depth.astype(np.float64 if depth.dtype.itemsize > 4 else np.float32)
         metres: Float32Array = (wide / scale).astype(np.float32)
     metres[missing] = 0
     if max_depth is not None:
