@@ -65,7 +65,7 @@ def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
     command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
     assert main(command) == 0
     shutil.rmtree(out / "pair_000002_000003")
-    (out / ".pair_000002_000003.abc.tmp").mkdir()  # Leftover of a killed run.
+    (out / ".objectflow-0123456789abcdef.tmp").mkdir()  # Leftover of a killed run.
     kept = (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns
     capsys.readouterr()
     assert main(command) == 0
