@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
+from objectflow.geometry import back_project
 from objectflow.synth.objects.procedural import ProceduralLibrary
 from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays
 from objectflow.synth.rendering.renderer import Renderer
@@ -389,10 +390,13 @@ def test_each_image_has_its_own_light(renderer: Renderer) -> None:
     floor = seen.color[0, 0][seen.labels[0, 0] == 0]
     np.testing.assert_allclose(floor, np.broadcast_to([0.4 * 255, 0.2 * 255, 0.1 * 255], floor.shape), atol=1)
     np.testing.assert_array_equal(seen.depth[1], seen.depth[2])
-    # The lamps stand on different sides, so that the cube's shadow falls on different parts of the floor.
+    # A shadow falls away from its lamp: the lamp at -x casts it towards +x.
+    points = back_project(seen.depth[1, 0], camera_of(model, WIDTH, HEIGHT))
+    x = (points @ cameras[0, :3, :3].T + cameras[0, :3, 3])[..., 0]
     shadows = (seen.color[1:, 0].mean(-1) < 80) & (seen.labels[1:, 0] == 0)
     assert shadows.sum(axis=(1, 2)).min() > 30
-    assert not (shadows[0] & shadows[1]).any()
+    assert x[shadows[0]].mean() > 0.1
+    assert x[shadows[1]].mean() < -0.1
 
 
 def test_poses_and_lamps_must_fit_the_images(renderer: Renderer) -> None:

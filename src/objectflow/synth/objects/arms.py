@@ -171,7 +171,8 @@ def _draw_skin_and_sleeve(rng: np.random.Generator, robot: bool) -> UInt8Array:
     cloth = cloth * (0.85 + 0.15 * value_noise(rng, TEXTURE, [(6, 4), (14, 10)]))[:, : TEXTURE // 2, None]
     blotches = value_noise(rng, TEXTURE, [(5, 5), (20, 20), (60, 60)])[:, : TEXTURE // 2, None]
     bare = np.array(skin) * (0.88 + 0.12 * blotches)
-    return np.rint(np.concatenate([bare, cloth], axis=1)).clip(0, 255).astype(np.uint8)
+    both = np.rint(np.concatenate([bare, cloth], axis=1)).clip(0, 255)
+    return np.asarray(both, dtype=np.uint8)
 
 
 def _rgb(hue: float, saturation: float, value: float) -> tuple[int, int, int]:

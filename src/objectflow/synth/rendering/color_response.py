@@ -46,7 +46,8 @@ class ColorResponse:
         table = np.minimum(levels[:, None] * self.gain, 1.0) ** (self.exponent / 2.2)
         out = np.stack([table[color[..., channel], channel] for channel in range(3)], axis=-1)
         grey = out.mean(axis=-1, keepdims=True)
-        return np.rint(255 * np.clip(grey + self.saturation * (out - grey), 0, 1)).astype(np.uint8)
+        display = np.rint(255 * np.clip(grey + self.saturation * (out - grey), 0, 1))
+        return np.asarray(display, dtype=np.uint8)
 
 
 def draw_responses(rng: np.random.Generator, settings: ResponseSettings) -> tuple[ColorResponse, ColorResponse]:

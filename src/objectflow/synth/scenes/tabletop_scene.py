@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from objectflow.synth.objects.model import ObjectModel
 from objectflow.synth.objects.packages import build_package
 from objectflow.synth.objects.shadow_casters import build_shadow_caster
 from objectflow.synth.rendering.color_response import ResponseSettings
-from objectflow.synth.scenes.actions import Action, draw_action
+from objectflow.synth.scenes.actions import Action, ActionKind, draw_action
 from objectflow.synth.scenes.appearance import draw_floor, draw_surface
 from objectflow.synth.scenes.arm_motion import HELD_KINDS, ArmPlan, draw_arm_plan
 from objectflow.synth.scenes.clutter_scene import LAST_START, draw_number, draw_rotations, draw_view
@@ -39,10 +40,11 @@ from objectflow.synth.scenes.scene_data import Scene, SceneObject
 from objectflow.synth.scenes.surroundings import draw_surroundings
 from objectflow.synth.scenes.table_surfaces import draw_background, draw_sheets, draw_table_surface, surface_slabs
 from objectflow.synth.scenes.textures import TextureSpec, list_images
+from objectflow.typing import BoolMask
 
 MAX_RADIUS = 0.4
 """Maximum radius of the disc on which objects are placed, metres."""
-KINDS = ("slide", "carry", "turn", "lift", "push", "topple", "fall")
+KINDS: tuple[ActionKind, ...] = ("slide", "carry", "turn", "lift", "push", "topple", "fall")
 KIND_PROBABILITIES = (0.24, 0.24, 0.12, 0.1, 0.1, 0.08, 0.12)
 """Probability of each kind of action, in the order of `KINDS`."""
 SCENE = SceneSettings(
@@ -122,16 +124,11 @@ class TabletopSettings:
             )
         if not 1 <= self.actions[0] <= self.actions[1]:
             raise DatasetError(f"tabletop settings: actions is a range from 1 up, not {self.actions}")
-        shares = (self.upright, self.packages, self.holding, self.resting, self.motionless, self.moving_camera)
-        shares += (
-            self.visible_shoulders,
-            self.plain_tables,
-            self.object_images,
-            self.relit,
-            self.shadows,
-            self.scaled,
+        shares = (
+            self.upright, self.packages, self.holding, self.resting, self.motionless, self.moving_camera,
+            self.visible_shoulders, self.plain_tables, self.object_images, self.relit, self.shadows, self.scaled,
             *self.arms,
-        )
+        )  # fmt: skip
         if not all(0 <= share <= 1 for share in shares) or not math.isclose(sum(self.arms), 1):
             raise DatasetError("tabletop settings: shares must be within 0 and 1, and those of `arms` must sum to 1")
 
@@ -233,12 +230,13 @@ def _draw_model_number(rng: np.random.Generator, split: str) -> int:
 
 
 def _draw_actions(
-    rng: np.random.Generator, acting: int, packages: Sequence[bool], settings: TabletopSettings
+    rng: np.random.Generator, acting: int, packages: BoolMask, settings: TabletopSettings
 ) -> list[Action]:
     """Draw actions on different objects; falling objects come last, so that they start above all others."""
     count = len(packages)
     kinds = sorted(
-        (str(rng.choice(KINDS, p=KIND_PROBABILITIES)) for _ in range(acting)), key=lambda kind: kind == "fall"
+        (KINDS[int(rng.choice(len(KINDS), p=KIND_PROBABILITIES))] for _ in range(acting)),
+        key=lambda kind: kind == "fall",
     )
     falling = sum(kind == "fall" for kind in kinds)
     targets = [*map(int, rng.permutation(count - falling)[: acting - falling]), *range(count - falling, count)]
@@ -248,7 +246,7 @@ def _draw_actions(
         path = float(rng.uniform(*(settings.package_path if packages[target] else settings.path)))
         angle = float(rng.choice((-1, 1)) * rng.uniform(0.0, 1.6))
         tilt = float(rng.uniform(-0.6, 0.6))
-        changes = {
+        changes: dict[str, dict[str, Any]] = {
             "slide": {"path": path, "angle": angle},
             "carry": {"path": path, "angle": angle, "rise": float(rng.uniform(0.02, 0.2))},
             "turn": {"path": 0.0, "angle": angle + math.copysign(0.3, angle)},

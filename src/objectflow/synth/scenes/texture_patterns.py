@@ -212,7 +212,7 @@ def _package(rng: np.random.Generator, size: int, scale: int, colors: Colors) ->
             cv2.circle(panel, center, max(1, int(radius * half)), color.tolist(), -1)
         top = int(band * size)
         rows = slice(top, top + half)
-        name = cv2.resize(ink, (width, half), interpolation=cv2.INTER_AREA)
+        name = cv2.resize(ink, (width, half), interpolation=cv2.INTER_AREA).astype(np.float32)
         cv2.rectangle(panel, (0, top + half // 3), (width, top + 2 * half // 3), colors[2].tolist(), -1)
         panel[rows] = _mix(panel[rows], _readable(colors[0], colors[2]), name)
         _letters(rng, panel[int(0.84 * size) :], np.full(3, 40, dtype=np.float32), 3, 0.06, 0.94)
