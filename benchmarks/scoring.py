@@ -96,7 +96,7 @@ def main(settings: Settings) -> None:
         matches = [score_segmentation(truth.labels, guess.labels).matches for guess, truth in pairs]
         with tempfile.TemporaryDirectory() as folder:
             for k, (guess, _) in enumerate(pairs):
-                (Path(folder) / f"{k}.npz").write_bytes(encode(guess, cold=False, machine=""))
+                (Path(folder) / f"{k}.npz").write_bytes(encode(guess, key=str(k), cold=False, machine=""))
             seconds = [
                 best(run, settings.repeats)
                 for run in (

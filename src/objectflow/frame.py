@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from objectflow.errors import FrameError
-from objectflow.geometry.camera import Camera, check_depth_scale
+from objectflow.errors import CameraError, FrameError
+from objectflow.geometry.camera import Camera, check_depth_scale, is_number
 from objectflow.geometry.resample import resize_color, resize_nearest
 from objectflow.storage.image_files import read_color, read_depth, to_metres
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
@@ -53,6 +53,10 @@ class RgbdFrame:
 
     def __post_init__(self, depth_scale: float | None) -> None:
         where = self.name
+        if not isinstance(where, str):
+            raise FrameError(f"the name of a frame must be text, not {where!r}")
+        if self.timestamp is not None and not is_number(self.timestamp):
+            raise FrameError(f"{where}: the timestamp must be a number of seconds or None, not {self.timestamp!r}")
         color, depth = (_as_array(value) for value in (self.color, self.depth))
         if isinstance(depth, np.ndarray) and depth.ndim == 3 and depth.shape[2] == 1:
             depth = depth[..., 0]
@@ -146,6 +150,7 @@ class RgbdFrame:
             FrameError: no pixel with depth is left.
         """
         camera = self.camera.scaled(width, height)
+        width, height = camera.width, camera.height
         if (width, height) == (self.camera.width, self.camera.height):
             return self
         return RgbdFrame(
@@ -157,7 +162,13 @@ class RgbdFrame:
         )
 
     def downscaled_to_width(self, width: int) -> RgbdFrame:
-        """The frame at a width in pixels, with its aspect ratio kept; unchanged if it is no wider."""
+        """The frame at a width in pixels, with its aspect ratio kept; unchanged if it is no wider.
+
+        Raises:
+            CameraError: a width that is not whole and positive.
+        """
+        if not is_number(width) or not width >= 1:
+            raise CameraError(f"a width must be a whole number of pixels, not {width!r}")
         if self.camera.width <= width:
             return self
         return self.resized(width, max(1, round(self.camera.height * width / self.camera.width)))
@@ -172,7 +183,7 @@ def _as_array(value: Any) -> Any:
     if isinstance(value, list | tuple):
         try:
             found = np.asarray(value)
-        except (ValueError, OverflowError):
+        except (TypeError, ValueError, OverflowError):
             return value
         # Lists of whole numbers become int64; colour is uint8.
         is_bytes = (

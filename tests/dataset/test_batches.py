@@ -185,5 +185,5 @@ def test_a_broken_row_is_named_by_a_worker_too(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"IEND", b"XEND"))
     for workers in (0, 1):
         batches = Batches(shards, 2, size=None, seed=0, workers=workers, shuffle=False, verify=False)
-        with pytest.raises(DatasetError, match=r"row 0: .*not a complete PNG"):
+        with pytest.raises(DatasetError, match=r"row 0: .*the PNG is (damaged|cut off)"):
             next(iter(batches.iterate()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,7 @@ def make_motion(labels: int = 3, *, seed: int = 0, size: float = 0.1, moves: boo
 
 
 def through_disk(motion: SceneMotion, folder: Path) -> SceneMotion:
-    (folder / "a.npz").write_bytes(encode(motion, cold=True, machine="m, 2 cores"))
+    (folder / "a.npz").write_bytes(encode(motion, key="a", cold=True, machine="m, 2 cores"))
     found = read_prediction(folder / "a.npz")
     assert (found.cold, found.machine, found.motion.seconds) == (True, "m, 2 cores", motion.seconds)
     return found.motion
@@ -85,7 +86,7 @@ def test_any_flow_is_rounded_by_half_a_step_at_most(flow: np.ndarray[Any, np.dty
 
 
 def test_no_cut_off_file_is_a_prediction(tmp_path: Path) -> None:
-    data = encode(make_motion(), cold=False, machine="m")
+    data = encode(make_motion(), key="a", cold=False, machine="m")
     cache = MethodCache(tmp_path)
     for length in [*range(0, len(data), 97), len(data) - 1]:
         (tmp_path / "a.npz").write_bytes(data[:length])
@@ -97,7 +98,7 @@ def test_no_cut_off_file_is_a_prediction(tmp_path: Path) -> None:
 
 
 def test_a_flipped_bit_is_found_or_changes_nothing(tmp_path: Path) -> None:
-    data = bytearray(encode(make_motion(), cold=False, machine="m"))
+    data = bytearray(encode(make_motion(), key="a", cold=False, machine="m"))
     path = tmp_path / "a.npz"
     path.write_bytes(data)
     whole = read_prediction(path).motion
@@ -127,7 +128,7 @@ def test_a_flipped_bit_is_found_or_changes_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_archives_of_another_form_are_refused(changes: dict[str, Any], tmp_path: Path) -> None:
-    (tmp_path / "a.npz").write_bytes(encode(make_motion(), cold=False, machine="m"))
+    (tmp_path / "a.npz").write_bytes(encode(make_motion(), key="a", cold=False, machine="m"))
     with np.load(tmp_path / "a.npz") as file:
         values = {**dict(file), **changes}
     np.savez(tmp_path / "a.npz", **{name: value for name, value in values.items() if value is not None})
@@ -171,12 +172,58 @@ def test_a_folder_that_cannot_be_made_is_the_disks_fault(tmp_path: Path) -> None
 def test_failures_are_kept_until_there_is_a_prediction(tmp_path: Path) -> None:
     cache = MethodCache(tmp_path)
     key = "test-000001/80"
-    assert file_name(key) == "test-000001_80"
+    assert file_name(key) == "test-000001%2F80"
     assert cache.failure(key) is None
     cache.write_failure(key, "no luck")
     assert (cache.failure(key), cache.has(key)) == ("no luck", False)
-    cache.write(key, encode(make_motion(), cold=False, machine="m"))
+    cache.write(key, encode(make_motion(), key=key, cold=False, machine="m"))
     assert (cache.failure(key), cache.has(key)) == (None, True)
     assert math.isclose(make_motion().seconds, cache.read(key).motion.seconds)  # type: ignore[union-attr]
     cache.write_failure(key, "again")
     assert not cache.has(key)
+
+
+KEYS = ["a/b", "a_b", "a%2Fb", "..", ".", "", "a\0b", "a\nb", "\ud800", "é" * 300, "é" * 301, "x" * 300, "A", "~"]
+
+
+def test_every_key_has_a_file_of_its_own(tmp_path: Path) -> None:
+    names = [file_name(key) for key in KEYS]
+    assert len(set(names)) == len(KEYS)
+    assert all(len(name.encode()) < 200 and "/" not in name and name.isprintable() for name in names)
+    cache = MethodCache(tmp_path)
+    for number, key in enumerate(KEYS):
+        motion = dataclasses.replace(make_motion(), seconds=float(number))
+        cache.write(key, encode(motion, key=key, cold=False, machine="m"))
+    assert [cache.read(key).motion.seconds for key in KEYS] == list(range(len(KEYS)))  # type: ignore[union-attr]
+
+
+def test_a_file_of_another_key_is_not_read(tmp_path: Path) -> None:
+    cache = MethodCache(tmp_path)
+    cache.write("a", encode(make_motion(), key="b", cold=False, machine="m"))
+    assert cache.read("a") is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"motions": np.zeros((1, 4, 4))},
+        {"motions": np.full((1, 4, 4), np.nan)},
+        {"centers": np.full((1, 3), np.inf)},
+        {"pixels": np.array([-1])},
+        {"moving": np.array(["false"])},
+        {"scores": np.array([np.nan])},
+        {"camera_motion": np.diag([1.0, 1.0, -1.0, 1.0])},
+        {"seconds": np.float64("nan")},
+    ],
+)
+def test_impossible_values_are_refused(tmp_path: Path, changes: dict[str, Any]) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(encode(make_motion(), key="a", cold=False, machine="m"))
+    with np.load(path) as file:
+        values = dict(file)
+    count = len(values["ids"])
+    repeated = {name: np.repeat(value, count, 0) if value.ndim and name != "camera_motion" else value
+                for name, value in changes.items()}  # fmt: skip
+    np.savez(path, **{**values, **repeated})
+    with pytest.raises(DatasetError, match=r"a\.npz: not a cached prediction"):
+        read_prediction(path)

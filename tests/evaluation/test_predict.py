@@ -208,7 +208,7 @@ def test_methods_that_take_sequences_get_them(data: PairSet, tmp_path: Path) -> 
     assert whole.summary is not None
     assert moody.summary is not None
     assert whole.summary.flow_all == moody.summary.flow_all
-    assert (tmp_path / "out" / "predictions" / "whole" / "test-000001_80.npz").is_file()
+    assert (tmp_path / "out" / "predictions" / "whole" / "test-000001%2F80.npz").is_file()
     CALLS.clear()
     run(data, tmp_path / "pairs", "whole", limit=1)
     assert CALLS == ["pair"]

@@ -11,7 +11,7 @@ from objectflow.storage.foreign import foreign_errors
 @pytest.mark.parametrize(
     ("reason", "text"),
     [
-        (KeyError("op"), "KeyError 'op'"),
+        (KeyError("op"), "op is missing"),
         (MemoryError(), "not enough memory"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply"),
         (ValueError("first line\nsecond line"), "first line second line"),

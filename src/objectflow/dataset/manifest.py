@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from objectflow.errors import DatasetError, StorageError
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
+from objectflow.storage.foreign import located_errors
+from objectflow.storage.serialize import from_plain
 
 FILE = "manifest.json"
 VERSION = 1
@@ -32,6 +35,15 @@ class Shard:
     rows: int
     bytes: int
     sha256: str
+
+    def __post_init__(self) -> None:
+        # A path would lead out of the folder, and a pipe or a device would never end.
+        if not re.fullmatch(r"\w[\w.-]{0,199}", self.file, re.ASCII):
+            raise DatasetError(f"the file of a shard must be a plain name, not {self.file!r}")
+        if self.rows < 0 or self.bytes < 0:
+            raise DatasetError(f"{self.file}: rows and bytes must be at least 0, not {self.rows} and {self.bytes}")
+        if not re.fullmatch("[0-9a-f]{64}", self.sha256):
+            raise DatasetError(f"{self.file}: sha256 must be 64 hexadecimal digits, not {self.sha256!r}")
 
 
 @dataclass(frozen=True)
@@ -55,6 +67,14 @@ class Part:
     views: int
     rejected: dict[str, int]
     shards: tuple[Shard, ...]
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise DatasetError(f"the kind of a part must be pairs or sequences, not {self.kind!r}")
+        if self.rows != sum(shard.rows for shard in self.shards):
+            raise DatasetError(f"a part of {self.rows} rows has shards of {sum(shard.rows for shard in self.shards)}")
+        if len({shard.file for shard in self.shards}) != len(self.shards):
+            raise DatasetError("a part lists a shard twice")
 
 
 @dataclass(frozen=True)
@@ -89,7 +109,7 @@ class Manifest:
         """
         path = folder / FILE
         try:
-            values = json.loads(path.read_text())
+            data = files.read_bytes(path)
         except FileNotFoundError:
             if not folder.is_dir():
                 raise DatasetError(f"{folder}: no such folder") from None
@@ -100,22 +120,12 @@ class Manifest:
             raise DatasetError(f"{folder}: no {FILE}: {hint}") from None
         except OSError as error:
             raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
-        except (ValueError, RecursionError) as error:
-            raise DatasetError(f"{path}: not a JSON file: {error}") from error
-        try:
+        with located_errors(DatasetError, f"{path}: not a manifest"):
+            values = json.loads(data)
             if values["version"] != VERSION:
-                raise DatasetError(
-                    f"{path}: data set version {values['version']}, this program reads {VERSION}: generate it anew"
-                )
-            parts = {name: _part(part) for name, part in values["parts"].items()}
-            return cls(int(values["seed"]), current_settings(values["settings"]), parts, str(values["objectflow"]))
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DatasetError(f"{path}: not a manifest: {error!r}") from error
-
-
-def _part(values: dict[str, Any]) -> Part:
-    shards = tuple(Shard(**shard) for shard in values["shards"])
-    return Part(**{**values, "shards": shards})
+                raise DatasetError(f"version {values['version']!r}, this program reads {VERSION}: generate it anew")
+            made = from_plain(cls, values)
+            return replace(made, settings=current_settings(made.settings))
 
 
 def current_settings(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,15 +11,16 @@ from multiprocessing import reduction
 from multiprocessing.context import get_spawning_popen
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.dataset.concatenated import Pairs
 from objectflow.dataset.moving_objects import keep_labels, without_static
-from objectflow.errors import CameraError, DatasetError, ReaderError
-from objectflow.geometry.camera import Camera
+from objectflow.dataset.schema import PairObject, check_pose
+from objectflow.errors import DatasetError
+from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.geometry.resample import resize_color, resize_nearest
+from objectflow.storage.foreign import located_errors
 from objectflow.storage.images import decode_png
 
 MAX_OBJECTS = 255
@@ -115,7 +116,7 @@ def _reserve(size: int) -> Any:
 
 def _fill(record: Records, columns: Mapping[str, Any], where: str, exact: bool) -> None:
     """Decode the columns of a row into a (1,) record."""
-    try:
+    with located_errors(DatasetError, f"{where}: not a row of pairs"):
         height, width = record.dtype["prev_labels"].shape
         stored = Camera.from_dict(columns["camera"], where=where)
         if exact and (stored.width, stored.height) != (width, height):
@@ -123,12 +124,15 @@ def _fill(record: Records, columns: Mapping[str, Any], where: str, exact: bool) 
         camera = stored.scaled(width, height)
         record["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
         record["depth_scale"] = columns["camera"]["depth_scale"]
+        check_depth_scale(columns["camera"]["depth_scale"])
+        for entry in columns["objects"]:
+            PairObject.from_dict(entry)
+        if columns.get("camera_motion") is not None:
+            check_pose(np.reshape(columns["camera_motion"], (4, 4)), "camera_motion")
         objects = without_static(columns)
         kept = {int(entry["label"]) for entry in objects}
         for name in _IMAGES:
-            image = decode_png(columns[name], name)
-            if image.shape[:2] != (stored.height, stored.width):
-                raise ValueError(f"{name} differs from the camera in size")
+            image = decode_png(columns[name], name, size=(stored.width, stored.height))
             if len(objects) < len(columns["objects"]) and name.endswith("labels"):
                 image = keep_labels(image, kept)
             resize = resize_color if name.endswith("color") else resize_nearest
@@ -138,6 +142,3 @@ def _fill(record: Records, columns: Mapping[str, Any], where: str, exact: bool) 
         for k, entry in enumerate(objects):
             vectors = (entry["center"], entry["translation"], entry["rotation_vector"])
             record["objects"][0, k] = [entry["label"], entry["in_both"], *(x for vector in vectors for x in vector)]
-    except (KeyError, TypeError, ValueError, IndexError, cv2.error, CameraError, ReaderError) as error:
-        reason = f"{error.args[0]} is missing" if isinstance(error, KeyError) else error
-        raise DatasetError(f"{where}: not a row of pairs: {reason}") from error

@@ -9,15 +9,18 @@ from typing import Any, TypeVar
 import numpy as np
 
 from objectflow import geometry
-from objectflow.errors import DatasetError, ObjectflowError
+from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.camera import Camera
+from objectflow.geometry.camera import Camera, check_depth_scale
 from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage.foreign import located_errors
 from objectflow.storage.images import decode_png, encode_png
 from objectflow.typing import Float64Array, LabelImage
 
 DEPTH_SCALE = 10_000.0
 """Depth units per metre: steps of 0.1 mm up to 6.55 m; larger depth is stored as missing."""
+MAX_LABEL = 255
+"""Largest label of an object: labels are stored in 8 bits."""
 PNG_COMPRESSION = 3
 """zlib level of stored images, 0..9. It determines the bytes of a set, so it is part of the format."""
 IMAGES = ("color", "depth", "labels")
@@ -52,6 +55,14 @@ class PairObject:
     curr_pose: Float64Array
     in_both: bool
 
+    def __post_init__(self) -> None:
+        _check_identity(self.label, self.category, self.model)
+        for name in ("center", "translation", "rotation_vector", "raw_rotation_vector"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise DatasetError(f"{name} of object {self.label} is not finite")
+        for name in ("prev_pose", "curr_pose"):
+            check_pose(getattr(self, name), f"{name} of object {self.label}")
+
     def prev_T_curr(self, *, raw: bool = False) -> Float64Array:
         """(4, 4) motion of the object back in time, with the reduced or the raw rotation."""
         R = geometry.so3_exp(self.raw_rotation_vector if raw else self.rotation_vector)
@@ -77,9 +88,9 @@ class PairObject:
     def from_dict(cls, entry: Mapping[str, Any]) -> PairObject:
         """The inverse of `to_dict`."""
         return cls(
-            label=int(entry["label"]),
-            category=str(entry["category"]),
-            model=str(entry["model"]),
+            label=entry["label"],
+            category=entry["category"],
+            model=entry["model"],
             center=_vector(entry["center"]),
             translation=_vector(entry["translation"]),
             rotation_vector=_vector(entry["rotation_vector"]),
@@ -101,6 +112,10 @@ class FrameObject:
     symmetry: tuple[SymmetryAxis, ...]
     pose: Float64Array
 
+    def __post_init__(self) -> None:
+        _check_identity(self.label, self.category, self.model)
+        check_pose(self.pose, f"pose of object {self.label}")
+
     def to_dict(self) -> dict[str, Any]:
         """The object's entry in the `objects` column."""
         return {
@@ -115,9 +130,9 @@ class FrameObject:
     def from_dict(cls, entry: Mapping[str, Any]) -> FrameObject:
         """The inverse of `to_dict`."""
         return cls(
-            label=int(entry["label"]),
-            category=str(entry["category"]),
-            model=str(entry["model"]),
+            label=entry["label"],
+            category=entry["category"],
+            model=entry["model"],
             symmetry=_symmetry_from_list(entry["symmetry"]),
             pose=_pose(entry["pose"]),
         )
@@ -166,14 +181,15 @@ class PairRow:
         Raises:
             DatasetError: a column is missing or broken; the message starts with `where`.
         """
-        try:
+        with located_errors(DatasetError, f"{where}: not a row of pairs"):
             prev, prev_labels = _frame_from(row, "prev_")
             curr, curr_labels = _frame_from(row, "curr_")
             objects = tuple(PairObject.from_dict(entry) for entry in row["objects"])
             camera = None if row.get("camera_motion") is None else _pose(row["camera_motion"])
-            return cls(str(row["key"]), str(row["scene"]), prev, prev_labels, curr, curr_labels, objects, camera)
-        except (KeyError, TypeError, ValueError, ObjectflowError) as error:
-            raise DatasetError(f"{where}: not a row of pairs: {_reason(error)}") from error
+            if camera is not None:
+                check_pose(camera, "camera_motion")
+            key, scene = _text(row, "key"), _text(row, "scene")
+            return cls(key, scene, prev, prev_labels, curr, curr_labels, objects, camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,12 +227,10 @@ class SequenceRow:
         Raises:
             DatasetError: a column is missing or broken; the message starts with `where`.
         """
-        try:
+        with located_errors(DatasetError, f"{where}: not a row of sequences"):
             image, labels = _frame_from(row, "")
             objects = tuple(FrameObject.from_dict(entry) for entry in row["objects"])
-            return cls(str(row["sequence"]), int(row["frame"]), image, labels, objects)
-        except (KeyError, TypeError, ValueError, ObjectflowError) as error:
-            raise DatasetError(f"{where}: not a row of sequences: {_reason(error)}") from error
+            return cls(_text(row, "sequence"), int(row["frame"]), image, labels, objects)
 
 
 Row = TypeVar("Row", bound=PairRow | SequenceRow)
@@ -236,12 +250,16 @@ def _frame_columns(frame: RgbdFrame, labels: LabelImage, prefix: str) -> dict[st
 
 def _frame_from(row: Mapping[str, Any], prefix: str) -> tuple[RgbdFrame, LabelImage]:
     camera = Camera.from_dict(row["camera"])
-    color, depth, labels = (decode_png(row[name], name) for name in (f"{prefix}{one}" for one in IMAGES))
-    metres = depth.astype(np.float32) / np.float32(row["camera"]["depth_scale"])
+    size = (camera.width, camera.height)
+    names = [f"{prefix}{image}" for image in IMAGES]
+    color, depth, labels = (decode_png(row[name], name, size=size) for name in names)
+    check_depth_scale(row["camera"]["depth_scale"])
+    if depth.ndim != 2 or labels.shape != depth.shape or labels.dtype != np.uint8:
+        raise DatasetError(f"{names[1]} must have one channel, and {names[2]} one of 8 bits")
+    with np.errstate(all="ignore"):  # an absurd scale gives 0 or infinity, which the frame reports
+        metres = depth.astype(np.float32) / np.float32(row["camera"]["depth_scale"])
     name = str(row.get("key") or f"{row.get('sequence')}/{row.get('frame')}")
     frame = RgbdFrame(color=color, depth=metres, camera=camera, name=name)
-    if labels.shape != depth.shape:
-        raise DatasetError(f"{prefix}labels are {labels.shape}, depth is {depth.shape}")
     return frame, labels.astype(np.int32)
 
 
@@ -269,5 +287,24 @@ def _pose(values: list[float]) -> Float64Array:
     return np.array(values, dtype=np.float64).reshape(4, 4)
 
 
-def _reason(error: Exception) -> str:
-    return f"{error.args[0]} is missing" if isinstance(error, KeyError) else str(error)
+def _check_identity(label: object, category: object, model: object) -> None:
+    if isinstance(label, bool) or not isinstance(label, int | np.integer) or not 1 <= label <= MAX_LABEL:
+        raise DatasetError(f"the label of an object must be a whole number in 1..{MAX_LABEL}, not {label!r}")
+    if not isinstance(category, str) or not isinstance(model, str):
+        raise DatasetError(f"object {label}: category and model must be names, not {category!r} and {model!r}")
+
+
+def check_pose(pose: Float64Array, name: str) -> None:
+    """Check a pose of a row.
+
+    Raises:
+        DatasetError: it is not a rigid transform; the message starts with `name`.
+    """
+    if not geometry.is_rigid(pose):
+        raise DatasetError(f"{name} is not a rigid transform")
+
+
+def _text(row: Mapping[str, Any], name: str) -> str:
+    if not isinstance(row[name], str) or not row[name]:
+        raise DatasetError(f"{name} must be a name, not {row[name]!r}")
+    return str(row[name])

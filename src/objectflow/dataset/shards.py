@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Generic, Literal
 
@@ -12,6 +13,7 @@ from objectflow.dataset.manifest import Kind, Manifest, Part, part_name
 from objectflow.dataset.schema import IMAGES, PairRow, Row, SequenceRow
 from objectflow.errors import DatasetError, MissingExtraError, StorageError
 from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors
 
 try:
     import pyarrow as pa
@@ -64,11 +66,9 @@ def read_metadata(path: Path) -> tuple[dict[str, Any], int]:
         DatasetError: not a shard of objectflow.
     """
     file = _open(path)
-    try:
+    with foreign_errors(DatasetError, f"{path}: a Parquet file that objectflow did not write: move it away"):
         metadata = json.loads((file.schema_arrow.metadata or {})[METADATA_KEY])
         return dict(metadata), int(file.metadata.num_rows)
-    except (KeyError, ValueError) as error:
-        raise DatasetError(f"{path}: a Parquet file that objectflow did not write: move it away") from error
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -146,16 +146,23 @@ class Shards(Sequence[Row], Generic[Row]):
         keys: list[str] = []
         for number in range(len(self.part.shards)):
             if self.part.kind == "pairs":
-                keys += self._file(number).read(columns=["key"]).column("key").to_pylist()
+                found = self._column(number, "key")
             else:
-                table = self._file(number).read(columns=["sequence", "frame"]).to_pylist()
-                keys += [f"{row['sequence']}/{row['frame']}" for row in table]
+                columns = (self._column(number, name) for name in ("sequence", "frame"))
+                found = [f"{sequence}/{frame}" for sequence, frame in zip(*columns, strict=True)]
+            if not all(isinstance(key, str) and key for key in found):
+                raise DatasetError(f"{self._path(number)}: a row has no key")
+            keys += found
         return keys
 
     def count_objects(self) -> int:
         """The total number of entries in the object tables of all rows; only the labels are read."""
-        tables = [self._file(i).read(columns=["objects.list.element.label"]) for i in range(len(self.part.shards))]
-        return sum(len(table.column("objects").combine_chunks().flatten()) for table in tables)
+        count = 0
+        for number in range(len(self.part.shards)):
+            with foreign_errors(DatasetError, f"{self._path(number)}: its object tables cannot be read"):
+                table = self._file(number).read(columns=["objects.list.element.label"])
+                count += len(table.column("objects").combine_chunks().flatten())
+        return count
 
     def find(self, key: str) -> int:
         """The number of the row with a key.
@@ -181,18 +188,32 @@ class Shards(Sequence[Row], Generic[Row]):
         number = next(i for i in range(len(self.part.shards)) if position < self._starts[i + 1])
         group, offset = divmod(position - self._starts[number], ROWS_PER_GROUP)
         if self._group is None or self._group[:2] != (number, group):
-            try:
-                table = self._file(number).read_row_group(group)
-            except (pa.ArrowException, OSError) as error:
-                path = self.folder / self.part.shards[number].file
-                raise DatasetError(f"{path}: broken at row {position - self._starts[number]}: {error}") from error
-            self._group = (number, group, table)
-        rows = self._group[2].slice(offset, 1).to_pylist()
-        return dict(rows[0])
+            with self._broken(number, position):
+                self._group = (number, group, self._file(number).read_row_group(group))
+        with self._broken(number, position):
+            return dict(self._group[2].slice(offset, 1).to_pylist()[0])
+
+    def _broken(self, number: int, position: int) -> AbstractContextManager[None]:
+        return foreign_errors(
+            DatasetError, f"{self._path(number)}: broken at row {position - self._starts[number]}: copy the file again"
+        )
+
+    def _column(self, number: int, name: str) -> list[Any]:
+        with foreign_errors(DatasetError, f"{self._path(number)}: its column {name} cannot be read"):
+            return list(self._file(number).read(columns=[name]).column(name).to_pylist())
+
+    def _path(self, number: int) -> Path:
+        return self.folder / self.part.shards[number].file
 
     def _file(self, number: int) -> Any:
         if number not in self._open:
-            self._open[number] = _open(self.folder / self.part.shards[number].file)
+            file, shard = _open(self._path(number)), self.part.shards[number]
+            if file.metadata.num_rows != shard.rows:
+                raise DatasetError(
+                    f"{self._path(number)}: {file.metadata.num_rows} rows, {shard.rows} in manifest.json: copy the "
+                    "file again"
+                )
+            self._open[number] = file
         return self._open[number]
 
 
@@ -228,14 +249,13 @@ def _part(folder: Path, split: str, kind: Kind) -> tuple[Manifest, Part]:
 
 
 def _open(path: Path) -> Any:
-    try:
-        return pq.ParquetFile(path, memory_map=True)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: no such file") from None
-    except PermissionError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
-    except (pa.ArrowException, OSError) as error:
-        raise DatasetError(f"{path}: not a Parquet file that can be read: {error}") from error
+    with foreign_errors(DatasetError, f"{path}: not a Parquet file that can be read"):
+        try:
+            return pq.ParquetFile(path, memory_map=True)
+        except FileNotFoundError:
+            raise DatasetError(f"{path}: no such file") from None
+        except PermissionError as error:
+            raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _some(keys: list[str]) -> str:

@@ -1,14 +1,16 @@
 """Predictions on disk: `predictions/<method>/<key>.npz`, with `settings.json` beside them and failures as JSON.
 
-`<key>.npz` holds `labels` ((H, W), 0 = background), `flow`, `seconds`, `cold` (whether it was the first of its
-process, which loads imports and kernels), `machine`, the objects (`ids, pixels, scores, moving, centers, motions`)
-and, where the camera moved, `camera_motion`. `flow` is (3, H, W) int16: scene flow in steps of 0.1 mm, -32768 where
-it is missing, as differences to the pixel on the left (modulo 65536), which takes a fifth of the space of float32;
-or (H, W, 3) float32 metres where a flow vector exceeds the range of int16.
+`<key>.npz`, with the key percent-encoded, holds `key` (JSON), `labels` ((H, W), 0 = background), `flow`, `seconds`,
+`cold` (whether it was the first of its process, which loads imports and kernels), `machine`, the objects (`ids,
+pixels, scores, moving, centers, motions`) and, where the camera moved, `camera_motion`. `flow` is (3, H, W) int16:
+scene flow in steps of 0.1 mm, -32768 where it is missing, as differences to the pixel on the left (modulo 65536),
+which takes a fifth of the space of float32; or (H, W, 3) float32 metres where a flow vector exceeds the range of
+int16.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 from collections.abc import Iterator, Mapping
@@ -17,14 +19,16 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import DatasetError, ObjectflowError, ResultError
-from objectflow.evaluation.data.archives import BROKEN, read_archive
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.storage import files
+from objectflow.storage.archives import read_archive
+from objectflow.storage.foreign import located_errors
 from objectflow.storage.locked_folder import FolderKind, is_unused, locked_folder, read_settings
 from objectflow.typing import Float32Array
 
@@ -37,6 +41,10 @@ PREDICTION_FOLDER = FolderKind(
     busy="another run is writing there",
     target="output folder",
 )
+MAX_NAME = 120
+"""Length in characters beyond which the file name of a key ends with a hash in place of the rest."""
+_COLUMNS = {"ids": "iu", "pixels": "iu", "scores": "f", "moving": "b", "centers": "f", "motions": "f"}
+"""The arrays of the objects, and the kinds of their NumPy types."""
 _MISSING = np.iinfo(np.int16).min
 _MAX_FLOW = 3.27
 """Metres: largest flow component that int16 holds in units of `STEP`."""
@@ -47,20 +55,23 @@ class Prediction:
     """One cached result; `motion.seconds` was measured around the method's call.
 
     Attributes:
+        key: of the pair.
         motion: with the flow rounded to `STEP`.
         cold: whether it was the first of its process.
         machine: where it was computed.
     """
 
+    key: str
     motion: SceneMotion
     cold: bool
     machine: str
 
 
-def encode(motion: SceneMotion, *, cold: bool, machine: str) -> bytes:
-    """Encode a result as the bytes of a `.npz` file."""
+def encode(motion: SceneMotion, *, key: str, cold: bool, machine: str) -> bytes:
+    """Encode the result of a pair as the bytes of a `.npz` file."""
     objects = motion.objects
     arrays: dict[str, Any] = {
+        "key": np.frombuffer(json.dumps(key).encode(), np.uint8),
         "labels": motion.labels.astype(np.min_scalar_type(int(motion.labels.max(initial=0)))),
         "flow": pack_flow(motion.scene_flow),
         "seconds": np.float64(motion.seconds),
@@ -87,22 +98,27 @@ def read_prediction(path: Path) -> Prediction:
         DatasetError: the file is incomplete or of another form.
     """
     arrays = read_archive(path)
-    try:
-        columns = [arrays[name] for name in ("ids", "pixels", "scores", "moving", "centers", "motions")]
+    with located_errors(DatasetError, f"{path}: not a cached prediction"):
+        columns = [_column(arrays, name, kinds) for name, kinds in _COLUMNS.items()]
         objects = tuple(
             ObjectMotion(int(i), int(pixels), float(score), bool(moving), center, prev_T_curr)
             for i, pixels, score, moving, center, prev_T_curr in zip(*columns, strict=True)
         )
         motion = SceneMotion(
-            labels=arrays["labels"].astype(np.int32),
+            labels=_column(arrays, "labels", "iu").astype(np.int32),
             scene_flow=unpack_flow(arrays["flow"]),
             objects=objects,
             camera_motion=arrays.get("camera_motion"),
             seconds=float(arrays["seconds"]),
         )
-        return Prediction(motion, bool(arrays["cold"]), str(arrays["machine"]))
-    except (ObjectflowError, *BROKEN) as error:
-        raise DatasetError(f"{path}: not a cached prediction: {error}") from error
+        key = json.loads(arrays["key"].tobytes())
+        return Prediction(key, motion, bool(arrays["cold"]), str(arrays["machine"]))
+
+
+def _column(arrays: Mapping[str, NDArray[Any]], name: str, kinds: str) -> NDArray[Any]:
+    if arrays[name].dtype.kind not in kinds:
+        raise ValueError(f"{name} has the type {arrays[name].dtype}")
+    return arrays[name]
 
 
 class MethodCache:
@@ -150,9 +166,10 @@ class MethodCache:
         if not path.is_file():
             return None
         try:
-            return read_prediction(path)
-        except DatasetError:
+            found = read_prediction(path)
+        except ObjectflowError:
             return None
+        return found if found.key == key else None
 
     def has(self, key: str) -> bool:
         """Whether there is a complete prediction of this pair."""
@@ -161,8 +178,9 @@ class MethodCache:
     def failure(self, key: str) -> str | None:
         """The reason why the method failed on a pair; None where no failure is recorded."""
         try:
-            return str(json.loads(self._failure_path(key).read_text(encoding="utf-8"))["reason"])
-        except (OSError, ValueError, LookupError, TypeError):
+            failure = json.loads(files.read_bytes(self._failure_path(key)))
+            return str(failure["reason"]) if failure["key"] == key else None
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
             return None
 
     def write(self, key: str, data: bytes) -> None:
@@ -193,8 +211,11 @@ class MethodCache:
 
 
 def file_name(key: str) -> str:
-    """A key as part of a file name; keys of sequences contain a slash."""
-    return key.replace("/", "_")
+    """A key as part of a file name, different for different keys; keys of sequences contain a slash."""
+    name = quote(key, safe="", errors="surrogatepass")
+    if len(name) <= MAX_NAME:
+        return name
+    return f"{name[: MAX_NAME // 2]}~{hashlib.sha256(name.encode()).hexdigest()}"
 
 
 def pack_flow(flow: Float32Array) -> NDArray[Any]:

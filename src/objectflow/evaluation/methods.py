@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,9 @@ from objectflow.methods.registry import METHODS, find_class, load
 from objectflow.motion import SceneMotion
 from objectflow.storage.files import hash_file
 from objectflow.storage.serialize import to_plain
+
+MAX_FOLDER = 120
+"""Length in characters beyond which the folder of a method ends with a hash in place of the rest of its label."""
 
 ORACLES: dict[str, str] = {
     "oracle-masks": "true masks with our rigid fit",
@@ -60,7 +64,8 @@ class MethodSpec:
     @property
     def folder(self) -> str:
         """The label as the name of a folder."""
-        return re.sub(r"[^\w.=,+-]", "_", self.label)
+        name = re.sub(r"^\.|[^\w.=,+-]", "_", self.label)
+        return name if len(name) <= MAX_FOLDER else f"{name[:MAX_FOLDER]}~{hashlib.sha256(name.encode()).hexdigest()}"
 
     def make(self, truth: PairTruth | None = None) -> Estimator:
         """Make the estimator; an oracle needs the truth of its pair.

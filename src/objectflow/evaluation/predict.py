@@ -27,8 +27,8 @@ from objectflow.runtime.pool import Pool
 FOLDER = "predictions"
 """Name of the folder of cached predictions."""
 
-FORMAT = 1
-"""Version of the cached files."""
+FORMAT = 2
+"""Version of the cached files; 2 added the key to each file, and names that differ for different keys."""
 
 SEQUENCES = ("sequences", "consecutive")
 """Kinds of sets whose pairs are part of a sequence."""
@@ -181,7 +181,7 @@ class Predictor:
         cold = job.method not in self._warm
         self._warm.add(job.method)
         timed = dataclasses.replace(motion, seconds=seconds)
-        return PredictionResult(job.key, encode(timed, cold=cold, machine=self._machine))
+        return PredictionResult(job.key, encode(timed, key=job.key, cold=cold, machine=self._machine))
 
     def _estimator(self, job: PredictionJob) -> Estimator:
         if job.truth is not None:

@@ -3,8 +3,10 @@
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.pinhole import back_project, back_project_pixels, flow_from_motions, pixel_grid, project
 from objectflow.geometry.se3 import (
+    MAX_DISTANCE,
     hat,
     inverse,
+    is_rigid,
     kabsch,
     make_transform,
     nearest_rotation,
@@ -19,12 +21,14 @@ from objectflow.geometry.se3 import (
 from objectflow.geometry.surface import surface_centers
 
 __all__ = [
+    "MAX_DISTANCE",
     "Camera",
     "back_project",
     "back_project_pixels",
     "flow_from_motions",
     "hat",
     "inverse",
+    "is_rigid",
     "kabsch",
     "make_transform",
     "nearest_rotation",

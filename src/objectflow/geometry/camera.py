@@ -8,7 +8,7 @@ import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,8 @@ from numpy.typing import ArrayLike
 from objectflow.errors import CameraError, FrameError, ReaderError
 from objectflow.typing import Float64Array
 
+MAX_PIXELS = 64_000_000
+"""Largest image of a camera, in pixels."""
 MAX_OFFSET = 20.0
 """Largest distance of the principal point from the origin, in image sizes."""
 
@@ -43,12 +45,14 @@ class Camera:
     def __post_init__(self) -> None:
         for name in ("width", "height", "fx", "fy", "cx", "cy"):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+            if not is_number(value):
                 raise CameraError(f"camera {name} must be a number, not {reprlib.repr(value)}")
             if not _is_finite(value):
                 raise CameraError(f"camera {name} must be a finite number of common size")
         if int(self.width) != self.width or int(self.height) != self.height or min(self.width, self.height) < 1:
             raise CameraError(f"camera size must be whole and positive, not {self.width}x{self.height}")
+        if self.width * self.height > MAX_PIXELS:
+            raise CameraError(f"a camera of {self.width}x{self.height} has more than {MAX_PIXELS // 10**6} megapixels")
         if self.fx <= 0 or self.fy <= 0:
             raise CameraError(f"focal lengths must be positive, not fx={self.fx:g}, fy={self.fy:g}")
         # A crop need not contain the principal point of its camera.
@@ -98,7 +102,17 @@ class Camera:
         return f"Camera({self.width}x{self.height}, fx={self.fx:g}, fy={self.fy:g}, cx={self.cx:g}, cy={self.cy:g})"
 
     def scaled(self, width: int, height: int) -> Camera:
-        """The same camera at another resolution. Pixel centres are whole numbers, so the corner is at (-0.5, -0.5)."""
+        """The same camera at another resolution. Pixel centres are whole numbers, so the corner is at (-0.5, -0.5).
+
+        Raises:
+            CameraError: a size that is not whole and positive.
+        """
+        for name, value in (("width", width), ("height", height)):
+            if not is_number(value) or not 1 <= value <= MAX_PIXELS or int(value) != value:
+                raise CameraError(
+                    f"the {name} of an image must be a whole number of pixels, not {reprlib.repr(value)}"
+                )
+        width, height = int(width), int(height)
         sx, sy = width / self.width, height / self.height
         return Camera(
             width=width,
@@ -115,7 +129,11 @@ class Camera:
         Raises:
             CameraError: the crop leaves the image.
         """
-        if x < 0 or y < 0 or x + width > self.width or y + height > self.height:
+        if not all(map(is_number, (x, y, width, height))):
+            raise CameraError(f"a crop needs four numbers of pixels, not {reprlib.repr((x, y, width, height))}")
+        if not (x >= 0 and y >= 0 and width >= 1 and height >= 1):  # written so that NaN fails too
+            raise CameraError(f"crop {width}x{height}+{x}+{y} is empty or starts outside the image")
+        if x + width > self.width or y + height > self.height:
             raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
         return Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx - x, cy=self.cy - y)
 
@@ -170,10 +188,17 @@ def check_depth_scale(scale: object, *, where: str = "") -> None:
     Raises:
         FrameError: an invalid scale; the message starts with `where`.
     """
-    if isinstance(scale, bool) or not isinstance(scale, (int, float, np.integer, np.floating)):
+    if not is_number(scale):
         raise FrameError(f"{where}depth_scale must be a number of depth units per metre, not {reprlib.repr(scale)}")
     if not _is_finite(scale) or scale <= 0:
         raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units per metre")
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a real number of Python or NumPy; truth values, durations and strings are not."""
+    if isinstance(value, (bool, np.timedelta64)):
+        return False
+    return isinstance(value, (int, float, np.integer, np.floating))
 
 
 def _is_finite(value: float | np.integer[Any] | np.floating[Any]) -> bool:

@@ -13,6 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from objectflow.errors import GeometryError
 from objectflow.typing import BoolMask, Float64Array
 
+ROTATION_TOLERANCE = 1e-3
+"""Largest difference of `R @ R.T` from the identity, per entry, of a matrix that counts as a rotation."""
+MAX_DISTANCE = 1e6
+"""Metres: largest coordinate of a translation that counts as rigid motion; float32 resolves 6 cm there."""
+
 _SMALL_ANGLE = 1e-4
 """Radians below which the series of sin and cos are exact to double precision, while the quotients are not."""
 
@@ -126,6 +131,18 @@ def transform(a_T_b: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
     """Map points (..., 3) from frame b to frame a with one (4, 4) transform, in the dtype of the points."""
     T = np.asarray(a_T_b).astype(points.dtype)
     return np.asarray(points @ T[:3, :3].T + T[:3, 3])
+
+
+def is_rigid(matrix: object) -> bool:
+    """Whether a value is a (4, 4) array of a rotation and a translation, up to the rounding of stored numbers."""
+    if not isinstance(matrix, np.ndarray) or matrix.shape != (4, 4) or matrix.dtype.kind not in "fiu":
+        return False
+    # Written so that NaN fails too.
+    if not (np.abs(matrix[:3, :3]).max() < 2 and np.abs(matrix[:3, 3]).max() <= MAX_DISTANCE):
+        return False
+    R = matrix[:3, :3].astype(np.float64)
+    is_rotation = np.abs(R @ R.T - np.eye(3)).max() < ROTATION_TOLERANCE and np.linalg.det(R) > 0
+    return bool(is_rotation and np.array_equal(matrix[3], [0, 0, 0, 1]))
 
 
 def rotation_angle(rotation: ArrayLike) -> Float64Array:

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 
 from objectflow import geometry
+from objectflow.errors import ResultError
 from objectflow.typing import Float64Array
 
+MAX_NUMBER = 2**31 - 1
+"""Largest id, number of pixels and score: labels are int32."""
 IDENTITY_TOLERANCE = 1e-9
 """Largest difference from the identity, per matrix entry, that rounding explains."""
 
@@ -31,6 +34,9 @@ class ObjectMotion:
             the motion of the camera.
         camera_motion: (4, 4) float64 `prev_T_curr` of the static background, None for a static camera. `SceneMotion`
             sets it to its own.
+
+    Raises:
+        ResultError: a value of another type, a number that is not finite, or a `prev_T_curr` that is not rigid.
     """
 
     id: int
@@ -40,6 +46,27 @@ class ObjectMotion:
     center: Float64Array
     prev_T_curr: Float64Array
     camera_motion: Float64Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("id", "pixels"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer):
+                raise ResultError(f"{name} of an object must be a whole number, not {value!r}")
+            if not 0 <= value <= MAX_NUMBER:
+                raise ResultError(f"{name} of an object must lie in 0..{MAX_NUMBER}, not {value!r}")
+        if isinstance(self.score, bool) or not isinstance(self.score, int | float | np.number):
+            raise ResultError(f"object {self.id}: its score must be a number, not {self.score!r}")
+        if not abs(self.score) <= MAX_NUMBER:
+            raise ResultError(f"object {self.id}: its score must be a finite number, not {self.score!r}")
+        if not isinstance(self.moving, bool | np.bool_):
+            raise ResultError(f"object {self.id}: moving must be true or false, not {self.moving!r}")
+        center = self.center
+        if not isinstance(center, np.ndarray) or center.shape != (3,) or center.dtype.kind != "f":
+            raise ResultError(f"object {self.id} has no center of three floating-point numbers")
+        if not np.abs(center).max() <= geometry.MAX_DISTANCE:  # written so that NaN fails too
+            raise ResultError(f"object {self.id}: its center is not finite, or further than any camera sees")
+        if not geometry.is_rigid(self.prev_T_curr):
+            raise ResultError(f"object {self.id}: its prev_T_curr is not a rigid 4x4 transform")
 
     @property
     def own_prev_T_curr(self) -> Float64Array:
@@ -128,19 +155,14 @@ class ObjectMotion:
         """The inverse of `to_dict`.
 
         Raises:
-            ValueError, KeyError, TypeError: an entry that describes no object.
+            ResultError: a value that describes no object.
+            ValueError, KeyError, TypeError: a value is missing, or not a list of numbers.
         """
-        prev_T_curr = np.array(entry["prev_T_curr"], dtype=np.float64)
-        center = np.array(entry["center"], dtype=np.float64)
-        if prev_T_curr.shape != (4, 4) or center.shape != (3,):
-            raise ValueError(f"object {entry['id']} has no 4x4 prev_T_curr or no center[3]")
-        if not (np.isfinite(prev_T_curr).all() and np.isfinite(center).all()):
-            raise ValueError(f"object {entry['id']} has a prev_T_curr or a center that is not finite")
         return cls(
-            id=int(entry["id"]),
-            pixels=int(entry["pixels"]),
-            score=float(entry["score"]),
-            moving=bool(entry["moving"]),
-            center=center,
-            prev_T_curr=prev_T_curr,
+            id=entry["id"],
+            pixels=entry["pixels"],
+            score=entry["score"],
+            moving=entry["moving"],
+            center=np.array(entry["center"], dtype=np.float64),
+            prev_T_curr=np.array(entry["prev_T_curr"], dtype=np.float64),
         )

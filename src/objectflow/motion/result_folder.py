@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import tokenize
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,25 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from objectflow.errors import ReaderError, ResultError
+from objectflow.errors import ResultError
+from objectflow.storage import files
+from objectflow.storage.archives import npy_array
+from objectflow.storage.foreign import located_errors
 from objectflow.storage.image_files import read_image
 from objectflow.storage.images import encode_png
 from objectflow.typing import Float32Array, LabelImage
-
-# Errors that the parsers of JSON and .npy raise for broken files: unbounded numbers, unclosed brackets, headers that
-# are not valid Python or request too much memory.
-_BROKEN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    EOFError,
-    OverflowError,
-    RecursionError,
-    MemoryError,
-    SyntaxError,
-    tokenize.TokenError,
-)
 
 
 def write(folder: Path, labels: LabelImage, flow: Float32Array, summary: Mapping[str, Any]) -> None:
@@ -51,26 +38,25 @@ def write(folder: Path, labels: LabelImage, flow: Float32Array, summary: Mapping
 
 def read(folder: Path) -> tuple[LabelImage, Float32Array, dict[str, Any]]:
     """Labels, flow and the content of `objects.json`; errors are those of the parsers, see `reading`."""
-    summary = json.loads((folder / "objects.json").read_text(encoding="utf-8"))
+    summary = json.loads(files.read_bytes(folder / "objects.json"))
     labels = read_image(folder / "labels.png")
     if labels.dtype.kind != "u":
         raise ValueError("labels.png must hold unsigned integers")
     if labels.shape != (summary["height"], summary["width"]):
         raise ValueError(f"labels.png has shape {labels.shape}, but objects.json states another size")
-    with open(folder / "scene_flow.npy", "rb") as file:
-        flow = np.lib.format.read_array(file, allow_pickle=False)
+    flow = npy_array(files.read_bytes(folder / "scene_flow.npy"))
     return labels.astype(np.int32), flow, summary
 
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
     """Turn whatever a broken result makes the parsers raise into a `ResultError` of one line."""
+    where = f"{folder}: not a result folder that can be read"
     try:
-        yield
-    except FileNotFoundError as error:
-        raise ResultError(f"{folder}: not a result folder: {Path(error.filename).name} is missing") from None
-    except (ReaderError, ResultError) as error:
-        raise ResultError(f"{folder}: not a result folder that can be read: {error}") from error
-    except _BROKEN as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise ResultError(f"{folder}: not a result folder that can be read: {reason}") from error
+        with located_errors(ResultError, where):
+            yield
+    except ResultError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            name = Path(error.__cause__.filename).name
+            raise ResultError(f"{folder}: not a result folder: {name} is missing") from None
+        raise

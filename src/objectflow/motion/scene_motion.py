@@ -23,6 +23,9 @@ from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 FORMAT_VERSION = 2
 """Version of `objects.json`; 2 added each object's own motion, displacement and rotation."""
 
+MAX_SECONDS = 1e9
+"""Longest duration of an estimate, seconds."""
+
 UNITS = {"length": "metres", "rotation_deg": "degrees", "rotation_vector": "radians", "seconds": "seconds"}
 """Units of the numbers in `objects.json`."""
 
@@ -65,8 +68,14 @@ class SceneMotion:
                 f"scene_flow must be {(*self.labels.shape, 3)} float32, "
                 f"not {self.scene_flow.shape} {self.scene_flow.dtype}"
             )
-        if self.camera_motion is not None and self.camera_motion.shape != (4, 4):
-            raise ResultError(f"camera_motion must be a 4x4 transform, not {self.camera_motion.shape}")
+        if self.camera_motion is not None and not geometry.is_rigid(self.camera_motion):
+            raise ResultError("camera_motion must be a rigid 4x4 transform, or None")
+        if not isinstance(self.method, str):
+            raise ResultError(f"method must be the name of a method, not {self.method!r}")
+        if isinstance(self.seconds, bool) or not isinstance(self.seconds, int | float | np.number):
+            raise ResultError(f"seconds must be a number, not {self.seconds!r}")
+        if not 0 <= self.seconds <= MAX_SECONDS:
+            raise ResultError(f"seconds must lie in 0..{MAX_SECONDS:g}, not {self.seconds!r}")
         # Every object knows the camera's motion, so that it can tell its own motion from it.
         objects = tuple(
             obj if obj.camera_motion is self.camera_motion else replace(obj, camera_motion=self.camera_motion)
@@ -281,8 +290,8 @@ class SceneMotion:
                 scene_flow=flow,
                 objects=tuple(ObjectMotion.from_dict(entry) for entry in summary["objects"]),
                 camera_motion=None if camera_motion is None else np.array(camera_motion, dtype=np.float64),
-                method=str(summary["method"]),
-                seconds=float(summary["seconds"]),
+                method=summary["method"],
+                seconds=summary["seconds"],
                 settings=dict(summary.get("settings", {})),
                 frames=dict(summary.get("frames", {})),
             )

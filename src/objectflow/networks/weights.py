@@ -120,11 +120,11 @@ def load_network(
         found = settings
     try:
         tensors = safetensors.torch.load_file(path)
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
+    except Exception as error:
         raise _unreadable(path, error) from error
-    with torch.random.fork_rng(devices=[]):  # initial weights are random: keep the caller's generator state
-        network = make_network(found)
-    wanted = network.state_dict()
+    # Without memory first: a header may describe a network that is larger than this machine.
+    with torch.device("meta"):
+        wanted = make_network(found).state_dict()
     for name in sorted({*wanted, *tensors}):
         if name not in tensors:
             raise MethodError(f"{path}: damaged: {name} is missing")
@@ -135,6 +135,8 @@ def load_network(
             raise MethodError(f"{path}: damaged: {name} is {sizes}")
         if not bool(tensors[name].isfinite().all()):
             raise MethodError(f"{path}: {name} holds numbers that are not finite: training went wrong")
+    with torch.random.fork_rng(devices=[]):  # initial weights are random: keep the caller's generator state
+        network = make_network(found)
     network.load_state_dict({name: value.to(wanted[name].dtype) for name, value in tensors.items()}, strict=True)
     return network.to(device).eval(), metadata
 
@@ -149,7 +151,7 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             entries = file.metadata() or {}
-    except (OSError, ValueError, safetensors.SafetensorError) as error:
+    except Exception as error:
         raise _unreadable(path, error) from error
     if _KEY not in entries:
         raise MethodError(f"{path}: no weights of an objectflow network: its header does not describe one")
@@ -159,7 +161,7 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
             raise MethodError(f"{path}: weights of format {header['version']}, this objectflow reads {_VERSION}")
         network, metadata = header["network"], header["metadata"]
         kind = header.get("kind", _FIRST_KIND)
-        if not isinstance(network, dict) or not isinstance(metadata, dict):
+        if not isinstance(network, dict) or not isinstance(metadata, dict) or not isinstance(kind, str):
             raise ValueError("not an object")
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MethodError(f"{path}: damaged: its header cannot be read") from error
@@ -195,6 +197,8 @@ def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> 
 def _unreadable(path: Path, error: Exception) -> MethodError:
     if not path.exists():
         return MethodError(f"{path}: no such file")
+    if path.exists() and not path.is_file() and not path.is_dir():
+        return MethodError(f"{path}: not a regular file")
     if path.is_dir():
         return MethodError(f"{path}: a folder, not a file of weights")
     if isinstance(error, OSError) and error.strerror:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from pathlib import Path
 from typing import IO, Any
@@ -33,11 +34,15 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
 
     with foreign_errors(ReaderError, f"{path}: not an image that can be decoded"):
         if file.read(4) in _TIFF_STARTS:
-            return _tiff_size(file)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # damaged tags that are not needed
+                return _tiff_size(file)
         file.seek(0)
         try:
-            with Image.open(file, formats=_HEADERS) as image:
-                return image.size
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # damaged metadata that is not needed
+                with Image.open(file, formats=_HEADERS) as image:
+                    return image.size
         except Image.DecompressionBombError:
             raise ReaderError(f"{path}: too many pixels (at most {MAX_PIXELS // 1_000_000} megapixels)") from None
         except UnidentifiedImageError:
@@ -59,7 +64,7 @@ def _tiff_size(file: IO[bytes]) -> tuple[int, int]:
     return int(directory[TiffImagePlugin.IMAGEWIDTH]), int(directory[TiffImagePlugin.IMAGELENGTH])
 
 
-def check_complete(data: bytes, path: Path) -> None:
+def check_complete(data: bytes, path: Path | str) -> None:
     """Check that a PNG or a JPEG is complete: some versions of OpenCV fill missing rows without an error.
 
     Raises:
@@ -92,7 +97,7 @@ def decode(data: bytes, path: Path) -> NDArray[Any]:
     return np.asarray(image)
 
 
-def _check_png(data: bytes, path: Path) -> None:
+def _check_png(data: bytes, path: Path | str) -> None:
     """Check the chunks of a PNG: OpenCV trusts a damaged length field and may allocate gigabytes."""
     at = len(PNG_START)
     while at + 12 <= len(data):

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from objectflow.errors import DatasetError, ResultError, StorageError
 from objectflow.storage.temporaries import ASIDE, Temporary, temporary_file, temporary_folder
+
+MAX_BYTES = 1 << 30
+"""Largest file that `read_bytes` reads by default, in bytes."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -145,6 +150,25 @@ def _fsync_folder(path: Path) -> None:
 
 def _cannot_write(path: Path, error: OSError | ValueError) -> StorageError:
     return StorageError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}")
+
+
+def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
+    """Read a regular file. A pipe would wait for its writer, and a device has no end.
+
+    Raises:
+        OSError: no such file, no permission, no regular file, or one with more than `limit` bytes.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    except ValueError as error:  # a path with a NUL
+        raise OSError(errno.EINVAL, str(error), str(path)) from error
+    with open(descriptor, "rb") as file:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is not a regular file", str(path))
+        if status.st_size > limit:
+            raise OSError(errno.EFBIG, f"it has more than {limit // 1_000_000} MB", str(path))
+        return file.read(limit)
 
 
 def hash_file(path: Path) -> str:

@@ -9,21 +9,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError, ResultError
+from objectflow.storage.coded_images import PNG_START, check_complete
 
 
-def decode_png(data: bytes, name: str) -> NDArray[Any]:
+def decode_png(data: object, name: str, *, size: tuple[int, int]) -> NDArray[Any]:
     """Decode the PNG bytes of a data set: (H, W) or (H, W, 3) RGB, uint8 or uint16.
 
     Args:
-        data: the bytes. They are checked for truncation, but not for damage, which the hash of their file reveals.
+        data: the bytes.
         name: of the image, for messages.
+        size: (width, height) that the image must have. The header is compared before any memory is allocated.
 
     Raises:
-        ReaderError: the bytes are no complete PNG.
+        ReaderError: the bytes are no complete, undamaged PNG of this size.
     """
-    # OpenCV fills the missing rows of a truncated PNG with zeros, without an error.
-    if data[-8:-4] != b"IEND":
-        raise ReaderError(f"{name} is not a complete PNG")
+    if not isinstance(data, bytes) or not data.startswith(PNG_START) or data[12:16] != b"IHDR":
+        raise ReaderError(f"{name} is not a PNG")
+    found = (int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big"))
+    if found != size:
+        raise ReaderError(f"{name} has {found[0]}x{found[1]} pixels, not the {size[0]}x{size[1]} of its camera")
+    check_complete(data, name)
     image = _decode(data)
     if image is None:
         raise ReaderError(f"{name} cannot be decoded")

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.errors import DatasetError
-from objectflow.evaluation.data.archives import read_archive
 from objectflow.evaluation.data.truth import PairTruth, TrueObject, make_pair_truth
 from objectflow.frame import RgbdFrame
 from objectflow.readers.pair import is_pair, open_pair
+from objectflow.runtime.quiet import silence_stderr
+from objectflow.storage.archives import read_archive
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 TRUTH = "truth.npz"
@@ -96,7 +97,8 @@ def read_pair(folder: str | Path, *, translation_only: Collection[str] = ()) -> 
         ObjectflowError: frames that cannot be read.
     """
     folder = Path(folder)
-    prev, curr = open_pair(folder)
+    with silence_stderr():  # decoders report damaged images there
+        prev, curr = open_pair(folder)
     truth = None
     if (folder / TRUTH).is_file():
         truth = _truth(folder, curr, read_archive(folder / TRUTH), translation_only)
@@ -113,9 +115,13 @@ def _truth(
     if labels.max(initial=0) > count:
         raise DatasetError(f"{where}: labels1 goes up to {labels.max()}, prev_T_curr has {count} motions")
     motions = _array(arrays, "prev_T_curr", (count, 4, 4), where)
+    if not all(map(geometry.is_rigid, motions)):
+        raise DatasetError(f"{where}: prev_T_curr holds a matrix that is not a rigid transform")
     background = None
     if "background_prev_T_curr" in arrays:
         background = _array(arrays, "background_prev_T_curr", (4, 4), where)
+        if not geometry.is_rigid(background):
+            raise DatasetError(f"{where}: background_prev_T_curr is not a rigid transform")
         if np.array_equal(background, np.eye(4)):
             background = None
     names = [str(name) for name in arrays.get("names", np.full(count, ""))]

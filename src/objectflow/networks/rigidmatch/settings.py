@@ -9,6 +9,13 @@ from typing import Any, ClassVar, Literal
 from objectflow.errors import MethodError
 from objectflow.storage.serialize import settings_from_plain, to_plain
 
+MOST = {
+    "stem_width": 1024, "fine_channels": 1024, "channels": 2048, "detail_channels": 1024, "heads": 64, "blocks": 64,
+    "attention_layers": 64, "decoder_layers": 64, "key_pool": 64, "window": 16, "queries": 1024, "updates": 64,
+    "rounds": 64,
+}  # fmt: skip
+"""Upper bounds of the settings, far above useful values: a damaged header must not describe an endless network."""
+
 _RETIRED: dict[str, Any] = {"matching": "global", "reach": 10, "objects": "queries", "motion": "solve"}
 """Fields of the first generation's headers; networks with other values are no longer supported."""
 _FIRST_GENERATION: dict[str, Any] = {
@@ -76,12 +83,14 @@ class RigidMatchSettings:
             "attention_layers": 0, "decoder_layers": 0, "updates": 0, "rounds": 0, "detail_channels": 0,
         }  # fmt: skip
         for name, value in least.items():
-            if getattr(self, name) < value:
-                raise MethodError(f"network setting {name} must be at least {value}, not {getattr(self, name)}")
+            if not value <= getattr(self, name) <= MOST[name]:
+                raise MethodError(
+                    f"network setting {name} must lie in {value}..{MOST[name]}, not {getattr(self, name)}"
+                )
         if self.channels % self.heads:
             raise MethodError(f"network setting channels must be a multiple of heads, not {self.channels}")
-        if len(self.blocks) != 3 or min(self.blocks) < 1:
-            raise MethodError(f"network setting blocks needs three numbers from 1, not {self.blocks}")
+        if len(self.blocks) != 3 or min(self.blocks) < 1 or max(self.blocks) > MOST["blocks"]:
+            raise MethodError(f"network setting blocks needs three numbers in 1..{MOST['blocks']}, not {self.blocks}")
         if self.detail_channels and self.stride != 8:
             raise MethodError("network setting detail_channels needs a stride of 8: use 0")
         if not 0 < self.seed_radius < float("inf"):  # written so that NaN fails too

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import pickle
+import io
+import warnings
 from pathlib import Path
 
-import safetensors
 import safetensors.torch
 import torch
 from torch import Tensor, nn
 
 from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.settings import NetworkSettings, Stages
+from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors
 
+MAX_BYTES = 1 << 30
+"""Largest file of pretrained weights, in bytes; ResNet-50 has 100 MB."""
 _EXPANSION = 4
 """Channels of a bottleneck's output relative to its 3x3 layer (He et al. 2016)."""
 _MEAN, _DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -137,6 +141,8 @@ def load_backbone(trunk: Trunk, path: str | Path) -> None:
             found.setdefault(name, value)  # absent from torchvision's older files, and not used here
         elif name not in found:
             raise MethodError(f"{path}: not a ResNet-50 state dict: {name} is missing")
+        elif found[name].layout != torch.strided or not found[name].is_floating_point():
+            raise MethodError(f"{path}: {name} is not a dense tensor of floating-point numbers")
         elif found[name].shape != value.shape:
             raise MethodError(
                 f"{path}: {name} is {tuple(found[name].shape)}, but this trunk has {tuple(value.shape)}: "
@@ -150,14 +156,20 @@ def load_backbone(trunk: Trunk, path: str | Path) -> None:
 
 def _read(path: Path) -> dict[str, Tensor]:
     try:
-        if path.suffix == ".safetensors":
-            return safetensors.torch.load_file(path)
-        state = torch.load(path, map_location="cpu", weights_only=True)
+        data = files.read_bytes(path, MAX_BYTES)
     except FileNotFoundError:
         raise MethodError(f"{path}: no such file: give the path of torchvision's resnet50 weights") from None
-    except (OSError, RuntimeError, ValueError, EOFError, pickle.UnpicklingError, safetensors.SafetensorError) as error:
-        summary = (str(error).splitlines() or ["unknown format"])[0]
-        raise MethodError(f"{path}: cannot be read as weights: {summary}") from error
-    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+    except OSError as error:
+        raise MethodError(f"{path}: cannot be read as weights: {error.strerror or error}") from error
+    with foreign_errors(MethodError, f"{path}: cannot be read as weights"):
+        if path.suffix == ".safetensors":
+            state = safetensors.torch.load(data)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of the unpickler, about versions
+                state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    if not isinstance(state, dict) or not all(
+        isinstance(name, str) and isinstance(value, Tensor) for name, value in state.items()
+    ):
         raise MethodError(f"{path}: not a state dict: expected names of tensors, as torchvision's resnet50 file has")
     return state

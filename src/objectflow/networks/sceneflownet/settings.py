@@ -10,6 +10,10 @@ from typing import Any, ClassVar, Literal
 from objectflow.errors import MethodError
 from objectflow.storage.serialize import settings_from_plain, to_plain
 
+MAX_WIDTH, MAX_LAYERS, MAX_REACH = 4096, 64, 64
+"""Upper bounds of channels of a layer, layers of a stage and cells of the correlation, far above useful values: a
+damaged header must not describe an endless network."""
+
 Widths = tuple[int, ...]
 Stages = tuple[Widths, ...]
 
@@ -68,16 +72,17 @@ class NetworkSettings:
 
     def __post_init__(self) -> None:
         for name in ("trunk_width", "color_channels"):
-            if getattr(self, name) < 1:
-                raise MethodError(f"network setting {name} must be at least 1, not {getattr(self, name)}")
+            if not 1 <= getattr(self, name) <= MAX_WIDTH:
+                raise MethodError(f"network setting {name} must lie in 1..{MAX_WIDTH}, not {getattr(self, name)}")
         if not 0 < self.length_unit < float("inf"):
             raise MethodError(f"network setting length_unit must be finite and above 0, not {self.length_unit}")
         if not abs(self.origin_depth) < float("inf"):
             raise MethodError(f"network setting origin_depth must be finite, not {self.origin_depth}")
-        if self.reach < 0:
-            raise MethodError(f"network setting reach must be at least 0, not {self.reach}")
-        if len(self.trunk_blocks) != 2 or min(self.trunk_blocks) < 1:
-            raise MethodError(f"network setting trunk_blocks needs two numbers from 1, not {self.trunk_blocks}")
+        if not 0 <= self.reach <= MAX_REACH:
+            raise MethodError(f"network setting reach must lie in 0..{MAX_REACH}, not {self.reach}")
+        blocks = self.trunk_blocks
+        if len(blocks) != 2 or min(blocks) < 1 or max(blocks) > MAX_LAYERS:
+            raise MethodError(f"network setting trunk_blocks needs two numbers in 1..{MAX_LAYERS}, not {blocks}")
         if self.trunk_norm not in ("batch", "frozen"):
             raise MethodError(f"network setting trunk_norm must be batch or frozen, not {self.trunk_norm!r}")
         for name, count in (("shape_stages", 3), ("fine", 3), ("down", None), ("up", len(self.down) - 1)):
@@ -86,6 +91,11 @@ class NetworkSettings:
                 raise MethodError(f"network setting {name} needs {count or 'some'} stages, not {len(stages)}")
             if any(not stage or min(stage) < 1 for stage in stages):
                 raise MethodError(f"network setting {name} has a stage without layers or a layer without channels")
+            if len(stages) > MAX_LAYERS or any(len(one) > MAX_LAYERS or max(one) > MAX_WIDTH for one in stages):
+                raise MethodError(
+                    f"network setting {name} has more than {MAX_LAYERS} stages or layers, or more than {MAX_WIDTH} "
+                    "channels in a layer"
+                )
 
     def scaled(self, factor: float) -> NetworkSettings:
         """The same network with all widths multiplied by `factor`, rounded to multiples of 8, at least 8."""

@@ -1,0 +1,1 @@
+"""Fuzzing of every door through which data of others enters."""

@@ -1,0 +1,53 @@
+"""A few thousand mutated inputs at every door; `harness.py` runs more of them by hand."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import random
+from pathlib import Path
+
+import pytest
+
+from fuzz.doors import DOORS, Read, prepare
+from fuzz.harness import ALL_DOORS, fuzz
+from objectflow.errors import ReaderError
+
+COUNTS = {"weights": 100, "torch-files": 120, "parquet-bytes": 150, "results": 150, "images": 400, "camera-files": 400}
+"""Numbers of inputs of the doors that do not get 200."""
+
+
+@pytest.fixture(scope="module")
+def valid(tmp_path_factory: pytest.TempPathFactory) -> None:
+    prepare(tmp_path_factory.mktemp("valid"))
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_nothing_but_our_errors_comes_out(door: str, valid: None, tmp_path: Path) -> None:
+    assert fuzz(door, range(COUNTS.get(door, 200)), 0, tmp_path) == []
+
+
+def test_the_harness_finds_what_it_looks_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counter = itertools.count()
+
+    def door(rng: random.Random, folder: Path) -> Read:
+        return FAULTS[next(counter)]
+
+    monkeypatch.setitem(ALL_DOORS, "faulty", door)
+    found = fuzz("faulty", range(len(FAULTS)), 0, tmp_path)
+    assert [finding.what.split()[0] for finding in found] == ["builtins.KeyError:", "prints", "asks", "the"]
+    assert [finding.number for finding in found] == [1, 2, 3, 4]
+
+
+def _raise(error: Exception) -> None:
+    raise error
+
+
+FAULTS: list[Read] = [
+    lambda: _raise(ReaderError("ours")),
+    lambda: _raise(KeyError("op")),
+    lambda: print("chatter", flush=True),
+    lambda: _raise(ReaderError("x: not enough memory")),
+    lambda: os._exit(9),
+]
+"""An error as it should be, then what the harness must find."""
