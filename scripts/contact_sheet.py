@@ -13,7 +13,7 @@ from tyro.conf import Positional
 from objectflow.dataset.moving_objects import moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs
-from objectflow.dataset.show import label_color
+from objectflow.view.data_pictures import label_color
 from objectflow.typing import LabelImage, UInt8Array
 
 

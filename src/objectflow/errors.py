@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 MAX_MESSAGE = 500
 """Maximum length of a message, in characters."""
 
@@ -10,6 +12,23 @@ _HEAD = 330
 
 _GAP = " ... "
 """Text in place of the characters that are left out."""
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra the way objectflow itself was installed: from a checkout or by its name."""
+    # Imported here, since only a missing library needs them.
+    from importlib import metadata
+    from urllib.parse import unquote, urlsplit
+
+    source = "objectflow"
+    try:
+        record = metadata.distribution("objectflow").read_text("direct_url.json")
+        place = json.loads(record or "{}").get("url", "")
+    except (metadata.PackageNotFoundError, ValueError, AttributeError):
+        place = ""
+    if place.startswith("file://"):
+        source = unquote(urlsplit(place).path)
+    return f'pip install "{source}[{extra}]"'
 
 
 class ObjectflowError(Exception):
@@ -85,7 +104,17 @@ class TrainingError(ObjectflowError):
 
 
 class MissingExtraError(ObjectflowError):
-    """A library of an optional extra is not installed; the message names the extra."""
+    """A library of an optional extra is not installed; the message ends with the command that installs it.
+
+    Args:
+        need: what is missing and for what, such as "bags need rosbags".
+        extra: the name of the extra.
+        otherwise: what helps instead.
+    """
+
+    def __init__(self, need: str, extra: str = "", *, otherwise: str = "") -> None:
+        command = f": {install_command(extra)}" if extra else ""
+        super().__init__(f"{need}{command}{otherwise}")
 
 
 class ViewerError(ObjectflowError):

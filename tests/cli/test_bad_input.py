@@ -233,7 +233,7 @@ def test_a_terminated_estimate_leaves_no_files(tmp_path: Path, number: int) -> N
     """The signal arrives while the result is written."""
     code = (
         "import os, sys; from objectflow.cli import estimate, main; "
-        f"estimate.write_result = lambda *_: os.kill(os.getpid(), {int(number)}); sys.exit(main())"
+        f"estimate.write_result = lambda *_, **__: os.kill(os.getpid(), {int(number)}); sys.exit(main())"
     )
     command = [sys.executable, "-c", code, "estimate", str(PAIR), "--method", "zero", "--out", "deep/result"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

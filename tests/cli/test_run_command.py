@@ -65,7 +65,7 @@ def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
     command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
     assert main(command) == 0
     shutil.rmtree(out / "pair_000002_000003")
-    (out / ".pair_000002_000003.abc.tmp").mkdir()  # Leftover of a killed run.
+    (out / ".objectflow-0123456789abcdef.tmp").mkdir()  # Leftover of a killed run.
     kept = (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns
     capsys.readouterr()
     assert main(command) == 0
@@ -104,18 +104,18 @@ def test_an_interrupt_exits_with_130_and_keeps_finished_pairs(
     calls = 0
     write = module.write_result
 
-    def interrupted(*arguments: Any) -> None:
+    def interrupted(*arguments: Any, **options: Any) -> None:
         nonlocal calls
         calls += 1
         if calls == 3:
             raise KeyboardInterrupt
-        write(*arguments)
+        write(*arguments, **options)
 
     out = tmp_path / "out"
     command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
     monkeypatch.setattr(module, "write_result", interrupted)
     assert main(command) == 130
-    assert capsys.readouterr().err == "objectflow: interrupted\n"
+    assert capsys.readouterr().err == "objectflow: interrupted: the same command continues\n"
     assert names(out) == {"settings.json", "pair_000000_000001", "pair_000001_000002"}
     monkeypatch.setattr(module, "write_result", write)
     assert main(command) == 0
@@ -195,6 +195,48 @@ def test_trajectories_are_written(tmp_path: Path, capsys: pytest.CaptureFixture[
         np.testing.assert_allclose(first @ np.linalg.inv(last), np.array(obj["prev_T_curr"]), atol=1e-9)
         lines = np.loadtxt(tmp_path / "out" / "trajectories" / f"object_{track['id']:03d}.txt")
         np.testing.assert_allclose(lines[:, 1:4], [first[:3, 3], last[:3, 3]], atol=1e-6)
+
+
+def test_overlays_have_lasting_colours_and_trails_and_make_a_video(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A square moves right over three pairs; its ids in the results are 1, 3 and 2, its track is always 1."""
+    from objectflow import ObjectMotion, RgbdFrame, SceneMotion
+    from objectflow.view.colors import object_color
+
+    folder = tmp_path / "sequence"
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    for index in range(4):
+        cv2.imwrite(str(folder / "color" / f"{index}.png"), np.full((240, 320, 3), 128 + index, np.uint8))
+        cv2.imwrite(str(folder / "depth" / f"{index}.png"), np.full((240, 320), 1000, np.uint16))
+    ids = iter((1, 3, 2, 1))
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        place = int(curr.color[0, 0, 0]) - 128
+        labels = np.zeros((240, 320), np.int32)
+        number = next(ids)
+        labels[90:150, 60 + 30 * place : 120 + 30 * place] = number
+        motion = np.eye(4)
+        motion[0, 3] = -0.1  # 30 pixels at 1 m.
+        center = np.array([(89.5 + 30 * place - 159.5) / 300, 0.0, 1.0])
+        obj = ObjectMotion(number, 3600, 0.9, True, center, motion)
+        return SceneMotion(labels, np.zeros((240, 320, 3), np.float32), (obj,), method="test")
+
+    monkeypatch.setattr("objectflow.cli.arguments.load", lambda *_, **__: estimate)
+    words = ["run", str(folder), "--intrinsics", "300,300,159.5,119.5", "--depth-scale", "1000"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--video"]) == 0
+    for index in range(3):
+        picture = cv2.imread(str(tmp_path / "out" / f"pair_{index:06d}_{index + 1:06d}" / "overlay.png"))[..., ::-1]
+        outline = np.abs(picture.astype(int) - object_color(1)).max(axis=-1) < 12
+        columns = np.nonzero(outline[300:420].any(axis=0))[0] / 3
+        assert columns.max() == pytest.approx(149.5 + 30 * index, abs=3)
+        # The trail begins where the object was first, 30 pixels left of its first current place.
+        trail = outline[345:375, 3 * 62 : 3 * (88 + 30 * index)]
+        assert trail.any() == (index > 0)
+    video = cv2.VideoCapture(str(tmp_path / "out" / "overlay.mp4"))
+    assert (video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FRAME_WIDTH)) == (3, 960)
+    assert main([*words, "--out", str(tmp_path / "other"), "--video", "--no-pictures"]) == 2
 
 
 def test_start_stop_and_limit(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

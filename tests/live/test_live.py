@@ -16,6 +16,7 @@ from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.live import NewestFrame, follow, replay
+from objectflow.live.newest_frame import FrameTaken
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import FramePaths, FrameSequence
 from objectflow.tracking.tracker import Tracker, TrackerSettings
@@ -192,3 +193,65 @@ def test_the_command_tracks_a_recording(tmp_path: Path, capsys: pytest.CaptureFi
     assert "no two frames at least 60 s apart" in capsys.readouterr().err
     assert main(["live", str(PAIR), "--speed", "0"]) == 2
     assert main(["live", str(tmp_path / "nowhere")]) == 2
+
+
+class Given(NewestFrame):
+    """Serves given frames."""
+
+    def __init__(self, frames: list[FrameTaken]) -> None:
+        super().__init__([])
+        self.frames = frames
+
+    def take(self, after: int = -1, timeout: float | None = None) -> FrameTaken | None:
+        return self.frames.pop(0) if self.frames else None
+
+
+def test_no_pair_spans_a_restart_that_the_method_did_not_see() -> None:
+    """The clock goes back during an estimate, and the next frame that is taken has a later stamp than the last one."""
+    with NewestFrame([frame(0), frame(10), frame(2), frame(15)]) as newest:
+        while (taken := newest.take(2, timeout=5)) is None or taken.number < 3:
+            pass
+    assert taken.part == 1
+    estimator = RecordingEstimator()
+    for _ in follow(Given([FrameTaken(0, frame(0), 0), taken, FrameTaken(4, frame(20), 1)]), estimator, Tracker()):
+        pass
+    assert estimator.times == [(1.5, 2.0)]
+
+
+class Clocked:
+    """A recording with given stamps, of which some frames cannot be read, and a clock that only waiting advances."""
+
+    def __init__(self, stamps: list[float], broken: set[int]) -> None:
+        self.stamps, self.broken, self.now = stamps, broken, 100.0
+        self.camera, self.depth_scale = CAMERA, 1000.0
+        self.cuts: tuple[int, ...] = ()
+        self.notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def timestamp(self, index: int) -> float:
+        return self.stamps[index]
+
+    def __getitem__(self, index: int) -> RgbdFrame:
+        if index in self.broken:
+            raise ReaderError(f"frame {index} is broken")
+        return frame(index)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return (self[index] for index in range(len(self)))
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def test_a_playback_leaves_out_broken_frames_and_shortens_pauses() -> None:
+    # A pause of an hour, and a clock that goes back.
+    source = Clocked([0.0, 0.5, 3600.0, 3600.5, 10.0, 10.5], broken={1, 3})
+    played = [
+        (read.color[0, 0, 0], round(source.now - 100, 6))
+        for read in replay(source, clock=lambda: source.now, sleep=source.sleep)
+    ]
+    assert played == [(0, 0.0), (2, 1.5), (4, 2.0), (5, 2.5)]
+    with pytest.raises(ReaderError, match="frame 0 is broken"):
+        list(replay(Clocked([0.0, 0.1], broken={0, 1}), clock=lambda: 0.0, sleep=lambda _: None))

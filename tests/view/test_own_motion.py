@@ -24,7 +24,8 @@ from objectflow.cli.output import print_objects
 from objectflow.evaluation.data.truth import make_pair_truth
 from objectflow.evaluation.results import EvaluationPair, facts_of
 from objectflow.live import Step
-from objectflow.storage.images import encode_png, read_image
+from objectflow.storage.image_files import read_image
+from objectflow.storage.images import encode_png
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import Float64Array
 from objectflow.view import draw_flow, draw_overlay

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import io
 import os
@@ -29,38 +30,48 @@ class Command(Protocol):
 
 
 class CommandEntry(NamedTuple):
-    """Location of a command: a module with `EXAMPLES` (lines to paste) and the dataclass of its arguments."""
+    """Location of a command: a module with `EXAMPLES` (lines to paste) and the dataclass of its arguments.
+
+    `resumes`: the same command continues an interrupted one.
+    """
 
     summary: str
     module: str
     dataclass: str
+    resumes: bool = False
 
 
 COMMANDS: dict[str, CommandEntry] = {
     "estimate": CommandEntry(
         "moving objects and scene flow of one pair of frames", "objectflow.cli.estimate", "Estimate"
     ),
-    "run": CommandEntry("the same for all consecutive pairs of a sequence", "objectflow.cli.run", "Run"),
+    "run": CommandEntry("the same for all consecutive pairs of a sequence", "objectflow.cli.run", "Run", resumes=True),
     "live": CommandEntry("track objects live, from a camera or a recording", "objectflow.cli.live", "Live"),
     "demo": CommandEntry("the packaged pair, compared with its ground truth", "objectflow.cli.demo", "Demo"),
-    "generate": CommandEntry("a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate"),
+    "generate": CommandEntry(
+        "a simulated data set as Parquet shards", "objectflow.cli.generate", "Generate", resumes=True
+    ),
     "check": CommandEntry("check a recording for input errors, or verify a data set", "objectflow.cli.check", "Check"),
     "show": CommandEntry("one row of a data set as a picture", "objectflow.cli.show", "Show"),
     "view": CommandEntry("a result, a run or a data set in the rerun viewer", "objectflow.cli.view", "View"),
     "check-pair": CommandEntry("check two frames for common input errors", "objectflow.cli.check_pair", "CheckPair"),
     "evaluate": CommandEntry(
-        "score methods on pairs with ground truth: tables and a report", "objectflow.cli.evaluate", "Evaluate"
+        "score methods on pairs with ground truth: tables and a report",
+        "objectflow.cli.evaluate",
+        "Evaluate",
+        resumes=True,
     ),
     "export": CommandEntry("a network as an ONNX file", "objectflow.cli.export", "Export"),
     "train": CommandEntry("train a network with a recipe", "objectflow.cli.train", "Train"),
     "methods": CommandEntry("list the methods, one line each", "objectflow.cli.methods", "Methods"),
     "info": CommandEntry("versions, devices and weights", "objectflow.cli.info", "Info"),
+    "completion": CommandEntry("tab completion for bash, zsh or fish", "objectflow.cli.completion", "Completion"),
 }
 
 EXAMPLES = """\
   objectflow demo
   objectflow estimate PAIR_DIR --out result
-  objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240
+  objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615,615,320,240
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1 --every 5
 """
 
@@ -75,7 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ObjectflowError as error:
         return _fail(str(error), error.exit_code)
     except KeyboardInterrupt:
-        return _fail("interrupted", EXIT_INTERRUPTED)
+        entry = COMMANDS.get(words[0]) if words else None
+        again = ": the same command continues" if entry is not None and entry.resumes else ""
+        return _fail(f"interrupted{again}", EXIT_INTERRUPTED)
     except BrokenPipeError:
         # The reader of the output (`head`, a pager) has exited; the redirection avoids a second error at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -109,7 +122,10 @@ def _dispatch(words: list[str]) -> int:
         print(f"objectflow {__version__}")
         return 0
     if words[0] not in COMMANDS:
-        return _fail(f"unknown command {words[0]!r}: choose one of {', '.join(COMMANDS)}", EXIT_BAD_INPUT)
+        near = difflib.get_close_matches(words[0], COMMANDS, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        return _fail(f"unknown command {words[0]!r}: {hint}choose one of {', '.join(COMMANDS)}", EXIT_BAD_INPUT)
+    words = _split_intrinsics(words)
     entry = COMMANDS[words[0]]
     module = importlib.import_module(entry.module)
     import tyro
@@ -132,17 +148,35 @@ def _dispatch(words: list[str]) -> int:
     return 0
 
 
+def _split_intrinsics(words: list[str]) -> list[str]:
+    """Four intrinsics that are separated by commas, `--intrinsics 615,615,320,240`, as four words."""
+    out: list[str] = []
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name == "--intrinsics" and equals:
+            out += [name, *value.replace(",", " ").split()]
+        elif out and out[-1] == "--intrinsics" and "," in word:
+            out += word.replace(",", " ").split()
+        else:
+            out.append(word)
+    return out
+
+
 def _unboxed(text: str) -> str:
-    """The message inside the box drawn by the argument parser, up to the first horizontal rule."""
-    lines = []
+    """The message inside the box drawn by the argument parser, and the first option that it suggests instead."""
+    similar = re.search(r"(?:similar to|Perhaps you meant)[^\n]*\n[│\s]*(--[\w.-]+)", text)
+    hint = f": did you mean {similar[1]}?" if similar else ""
+    lines: list[str] = []
     for line in text.splitlines()[1:]:
         inner = line.strip("│ ")
-        if inner.startswith(("──", "╰")):
-            break
+        if inner.startswith(("──", "╰", "-----")):
+            if lines:
+                break
+            continue
         lines.append(inner)
     # The parser lists None as an alternative of optional arguments; it cannot be typed.
     markup = r"\[/?bold\]|\{None\}\||- <class 'NoneType'>: .*? \('None',\) "
-    return re.sub(markup, "", " ".join(lines)) or "invalid arguments"
+    return re.sub(markup, "", " ".join(lines)) + hint if lines else "invalid arguments"
 
 
 def _overview() -> str:

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 
+from objectflow.cli.output import Export
 from objectflow.errors import ReaderError
-from objectflow.methods.base import Estimator
-from objectflow.methods.registry import DEFAULT_METHOD, find_class, load
+from objectflow.methods.registry import DEFAULT_METHOD, check_name, find_class, load
 from objectflow.readers import CameraOptions, FrameSequence, FrameSource, open_files, open_pair, open_source
 from objectflow.settings import flat, parse_assignments, read_toml
-from objectflow.view.viewer import Viewer, open_viewer
+
+if TYPE_CHECKING:
+    from objectflow.methods.base import Estimator
+    from objectflow.view.viewer import Viewer
 
 
 def option(metavar: str, default: str = "") -> Any:
@@ -31,7 +35,7 @@ class CameraArguments:
     of Open3D, RealSense, COLMAP or BOP, or a 3x3 matrix as text or .npy; or a TUM camera: fr1, fr2, fr3."""
 
     intrinsics: Annotated[tuple[float, float, float, float] | None, option("FX FY CX CY")] = None
-    """Intrinsics in pixels, instead of a camera file."""
+    """Intrinsics in pixels, instead of a camera file; commas may separate them."""
 
     depth_scale: Annotated[float | None, option("S", "the camera file's, or 1000; 5000 for a TUM directory")] = None
     """Depth units per metre; floating-point depth is in metres unless this is given."""
@@ -52,7 +56,7 @@ class MethodArguments(CameraArguments):
     """The method; `objectflow methods` lists the choices."""
 
     camera: Literal["auto", "static", "moving"] = "auto"
-    """Whether the camera moved between the frames; auto estimates it from the background."""
+    """Whether the camera moved between the frames; auto decides from the background."""
 
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
     """Output folder: new, empty, or with an earlier result of the same kind."""
@@ -62,10 +66,10 @@ class MethodArguments(CameraArguments):
 
     rigid: Annotated[
         Literal["none", "average", "solve", "refine"] | None,
-        option("{none,average,solve,refine}", "the method's own; `objectflow methods NAME` shows it"),
+        option("{none,average,solve,refine}", "refine for rigidmatch, average for sceneflownet"),
     ] = None
-    """Flow of a learned method: per pixel (none), rigid per object (average; for rigidmatch solve, a fit to its
-    matches), or rigid and aligned to the depth (refine)."""
+    """How a learned method computes motions. none: flow per pixel. average (sceneflownet) and solve (rigidmatch): one
+    rigid motion per object from the network's output. refine: that motion, registered to the depth."""
 
     device: Annotated[str | None, option("NAME", "cuda if available")] = None
     """Device of a learned method: cpu, cuda or cuda:N."""
@@ -87,6 +91,14 @@ class MethodArguments(CameraArguments):
         if self.camera != "auto" and any(field.name == "camera" for field in fields):
             given["camera"] = self.camera
         return options | {name: value for name, value in given.items() if value is not None}
+
+    def check_method(self) -> None:
+        """Check the name of the method, before anything is read or loaded.
+
+        Raises:
+            MethodError: an unknown name.
+        """
+        check_name(self.method)
 
     def estimator(self) -> Estimator:
         """Load the method."""
@@ -127,7 +139,47 @@ class ViewArguments:
 
     def viewer(self, title: str) -> Viewer:
         """Open the requested viewer, or a null viewer."""
+        # The viewer imports much that commands need only after their arguments have been checked.
+        from objectflow.view.viewer import open_viewer
+
         return open_viewer(title, window=self.view, save=self.save_view)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResultArguments:
+    """Files of a result."""
+
+    pictures: bool = True
+    """Write overlay.png and flow.png."""
+
+    export: Annotated[tyro.conf.UseAppendAction[tuple[Export, ...]], option("{coco,ply}", "none")] = ()
+    """Also write coco.json, the masks as COCO annotations with run-length encoding, or points_001.ply etc., a point
+    cloud per object; may be repeated."""
+
+
+def location(frames: FrameSequence) -> dict[str, Any]:
+    """Where two frames lie and how they are read, as `SceneMotion.frames` keeps it."""
+    camera = frames.camera
+    return {
+        "paths": [str(path.resolve()) for one in frames.paths for path in (one.color, one.depth)],
+        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+        "depth_scale": frames.depth_scale,
+    }
+
+
+def open_location(where: Mapping[str, Any]) -> FrameSequence:
+    """Open the two frames at a `location`.
+
+    Raises:
+        ReaderError: a file does not exist any more, or the location is damaged.
+    """
+    try:
+        paths = [Path(path) for path in where["paths"]]
+        fx, fy, cx, cy = (float(number) for number in where["intrinsics"])
+        options = CameraOptions(intrinsics=(fx, fy, cx, cy), depth_scale=float(where["depth_scale"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ReaderError(f"the place of the frames is damaged: {error!r}: give them by --frames") from error
+    return open_two(tuple(paths), options)
 
 
 def open_two(paths: tuple[Path, ...], options: CameraOptions) -> FrameSequence:

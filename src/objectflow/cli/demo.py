@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -13,22 +15,25 @@ from rich.console import Console
 from rich.table import Table
 
 from objectflow import geometry
-from objectflow.cli.arguments import option
+from objectflow.cli.arguments import ViewArguments, location, option
 from objectflow.cli.demo_truth import DemoTruth, flow_errors, match_object
-from objectflow.cli.output import new_result, print_objects, write_result
+from objectflow.cli.output import check_not_below_a_file, new_result, print_objects, print_written, write_result
 from objectflow.frame import RgbdFrame
-from objectflow.methods.registry import DEFAULT_METHOD, load
+from objectflow.methods.registry import DEFAULT_METHOD, check_name, load
 from objectflow.motion import SceneMotion
 from objectflow.readers import open_pair
+from objectflow.storage import files
 
 EXAMPLES = """\
   objectflow demo
-  objectflow demo --method dense-flow --out result
+  objectflow demo --view
+  objectflow demo --method consensus --out result
+  objectflow demo --pair pair && objectflow estimate pair --out result
 """
 
 
-@dataclass(frozen=True)
-class Demo:
+@dataclass(frozen=True, kw_only=True)
+class Demo(ViewArguments):
     """Estimate the motion of the packaged pair of frames and compare the result with its ground truth.
 
     The frames are ray-cast with depth-camera noise and show six objects on a table, three of which moved.
@@ -40,19 +45,45 @@ class Demo:
     out: Annotated[Path | None, option("DIR", "a folder under objectflow_out")] = None
     """Output folder, new or empty."""
 
+    pair: Annotated[Path | None, option("DIR", "none")] = None
+    """Write the pair folder itself here instead of estimating: a new folder to try the other commands on."""
+
     def run(self) -> None:
         """Estimate, write, compare, print."""
-        estimator = load(self.method)
+        if self.pair is not None:
+            write_pair(self.pair)
+            return
+        check_name(self.method)
         with resources.as_file(resources.files("objectflow") / "demo" / "pair") as pair:
-            prev, curr = open_pair(pair)
+            frames = open_pair(pair)
+            prev, curr = frames
             truth = DemoTruth.read(pair / "truth.npz")
-        with new_result(self.out) as (folder, path):
-            motion = estimator(prev, curr)
+        # Imported here, since other uses of this module need no viewer.
+        from objectflow.view.viewer_frames import pair_frames
+
+        estimator = load(self.method)
+        with self.viewer("demo") as viewer, new_result(self.out) as (folder, path):
+            motion = dataclasses.replace(estimator(prev, curr), frames=location(frames))
             write_result(folder, curr, motion)
+            viewer.show(partial(pair_frames, prev, curr, motion))
         print_objects(motion)
         print()
         print_comparison(truth, curr, motion)
-        print(f"written to {path}: look at {path / 'overlay.png'}")
+        print_written(path, f": look at {path / 'overlay.png'}")
+
+
+def write_pair(folder: Path) -> None:
+    """Copy the packaged pair, without its ground truth, into a new folder.
+
+    Raises:
+        ResultError: the folder is not empty.
+    """
+    check_not_below_a_file(folder)
+    with files.new_folder(folder) as temporary:
+        for entry in (resources.files("objectflow") / "demo" / "pair").iterdir():
+            if entry.name != "truth.npz":
+                (temporary / entry.name).write_bytes(entry.read_bytes())
+    print(f"written to {folder}: try `objectflow estimate {folder}`")
 
 
 def print_comparison(truth: DemoTruth, curr: RgbdFrame, motion: SceneMotion) -> None:

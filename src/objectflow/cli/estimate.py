@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -9,26 +10,26 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import MethodArguments, ViewArguments, open_two, option
+from objectflow.cli.arguments import MethodArguments, ResultArguments, ViewArguments, location, open_two, option
 from objectflow.cli.findings import warn_of
-from objectflow.cli.output import new_result, print_objects, write_result
+from objectflow.cli.output import new_result, print_objects, print_written, write_result
 from objectflow.frame import check_pair
 from objectflow.runtime.quiet import silence_stderr
-from objectflow.view.viewer_frames import pair_frames
 
 EXAMPLES = """\
   objectflow estimate PAIR_DIR
   objectflow estimate PAIR_DIR --camera moving --out result
   objectflow estimate PAIR_DIR --view
+  objectflow estimate PAIR_DIR --export coco --export ply --no-pictures
   objectflow estimate PAIR_DIR --set postprocess.merge.max_loss=0.1 --explain
-  objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615 615 320 240
+  objectflow estimate color0.png depth0.png color1.png depth1.png --intrinsics 615,615,320,240
   objectflow estimate color0.png depth0.png color1.png depth1.png --camera-file camera.json --depth-scale 5000
   objectflow estimate PAIR_DIR --method sceneflownet-c-vl --weights FILE --rigid average
 """
 
 
 @dataclass(frozen=True)
-class Estimate(ViewArguments, MethodArguments):
+class Estimate(ViewArguments, ResultArguments, MethodArguments):
     """Estimate the moving objects, their motions and the scene flow between two RGB-D frames.
 
     Writes labels.png, scene_flow.npy, objects.json, overlay.png and flow.png.
@@ -46,19 +47,23 @@ class Estimate(ViewArguments, MethodArguments):
 
     def run(self) -> None:
         """Read, estimate, write, print."""
-        estimator = self.estimator()
+        self.check_method()
         with silence_stderr():
-            source = open_two(self.paths, self.camera_options())
-            prev, curr = source
+            frames = open_two(self.paths, self.camera_options())
+            prev, curr = frames
         check_pair(prev, curr)
-        for note in source.notes:
+        for note in frames.notes:
             print(f"note: {note}")
         warn_of(prev, curr)
+        # Frames are read first: a wrong path is reported before the method, which is slow to import, is loaded.
+        from objectflow.view.viewer_frames import pair_frames
+
+        estimator = self.estimator()
         with self.viewer(self.paths[0].stem) as viewer, new_result(self.out) as (folder, path):
-            motion = estimator(prev, curr)
-            write_result(folder, curr, motion)
+            motion = dataclasses.replace(estimator(prev, curr), frames=location(frames))
+            write_result(folder, curr, motion, pictures=self.pictures, exports=self.export)
             viewer.show(partial(pair_frames, prev, curr, motion))
         for change in motion.changes:
             print(change)
         print_objects(motion)
-        print(f"written to {path}")
+        print_written(path)

@@ -25,11 +25,11 @@ from objectflow.storage import files
 from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
-  objectflow evaluate --data tiny --methods zero dense-flow consensus oracle-masks oracle-motion
-  objectflow evaluate --data data --split test --limit 200 --methods zero consensus --out table
-  objectflow evaluate --data data --sequences --methods consensus
-  objectflow evaluate --data data --sensor structured-light --methods consensus
-  objectflow evaluate --data real:recordings --methods zero dense-flow consensus --translation-only ball
+  objectflow evaluate --data tiny --methods rigidmatch consensus zero
+  objectflow evaluate --data data --split test --limit 200 --methods rigidmatch consensus zero --out table
+  objectflow evaluate --data data --sequences --methods rigidmatch consensus
+  objectflow evaluate --data data --sensor structured-light --methods rigidmatch
+  objectflow evaluate --data real:recordings --methods rigidmatch consensus zero --translation-only ball
   objectflow evaluate --data tiny --methods consensus quick=consensus:rounds=1,match_width=320
 """
 

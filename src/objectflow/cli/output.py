@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+import re
+import time
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Literal
 
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.motion.words import motion_texts
 from objectflow.storage import files
+
+if TYPE_CHECKING:
+    from objectflow.view.overlay import TrackMarks
 from objectflow.storage.temporaries import sweep, temporary_folder
 
 OUTPUT_ROOT = Path("objectflow_out")
 RESULT_FILES = frozenset({"labels.png", "scene_flow.npy", "objects.json", "overlay.png", "flow.png"})
+COCO = "coco.json"
+POINTS = "points_{:03d}.ply"
+"""File of one object's points, by its id."""
+
+Export = Literal["coco", "ply"]
+"""Files for other programs: all masks as COCO annotations, or a point cloud per object."""
+
+_STARTED = time.perf_counter()
+"""Seconds: when this module was imported, early in every command."""
 
 
 @contextmanager
@@ -45,12 +58,35 @@ def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
         link_latest(path)
 
 
-def write_result(folder: Path, curr: RgbdFrame, motion: SceneMotion) -> None:
-    """Write the five files of a result into a folder."""
-    from objectflow.view import write_pictures
+def write_result(
+    folder: Path,
+    curr: RgbdFrame,
+    motion: SceneMotion,
+    *,
+    tracks: TrackMarks | None = None,
+    pictures: bool = True,
+    exports: Collection[Export] = (),
+) -> None:
+    """Write the files of a result into a folder.
 
+    Args:
+        folder: must exist.
+        curr: the current frame.
+        motion: the result.
+        tracks: numbers and trails of the objects in the overlay; those of the result without trails if None.
+        pictures: write overlay.png and flow.png.
+        exports: further files to write.
+    """
     motion.write_into(folder)
-    write_pictures(folder, curr, motion)
+    if pictures:
+        from objectflow.view import write_pictures
+
+        write_pictures(folder, curr, motion, tracks)
+    if "coco" in exports:
+        (folder / COCO).write_text(json.dumps(motion.to_coco_dataset(curr.name)) + "\n")
+    if "ply" in exports:
+        for obj in motion.objects:
+            motion.to_ply(folder / POINTS.format(obj.id), curr, obj.id)
 
 
 def check_not_below_a_file(path: Path) -> None:
@@ -64,6 +100,11 @@ def check_not_below_a_file(path: Path) -> None:
             if not parent.is_dir():
                 raise ResultError(f"{path}: {parent} is a file, not a folder: name another output folder")
             return
+
+
+def print_written(path: Path, hint: str = "") -> None:
+    """Print where a result lies and how long the whole command took."""
+    print(f"written to {path}{hint}; total {time.perf_counter() - _STARTED:.1f} s")
 
 
 def link_latest(path: Path) -> None:
@@ -80,6 +121,9 @@ def link_latest(path: Path) -> None:
 
 def print_objects(motion: SceneMotion) -> None:
     """Print the objects of a result as a table, then its camera motion, method and run time."""
+    from rich.console import Console
+    from rich.table import Table
+
     console = Console(highlight=False)
     if motion.objects:
         table = Table(box=None, pad_edge=False, header_style="bold")
@@ -105,7 +149,8 @@ def _is_result(path: Path) -> bool:
     if not path.is_dir():
         return False
     names = {file.name for file in path.iterdir()}
-    return "objects.json" in names and names <= RESULT_FILES
+    known = {name for name in names if name == COCO or re.fullmatch(r"points_\d+\.ply", name)}
+    return "objects.json" in names and names <= RESULT_FILES | known
 
 
 def _dated_folder() -> Path:

@@ -19,9 +19,9 @@ from tyro.conf import Positional
 from objectflow import __version__
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
-from objectflow.cli.arguments import MethodArguments, SourceArguments, ViewArguments, option
+from objectflow.cli.arguments import MethodArguments, ResultArguments, SourceArguments, ViewArguments, option
 from objectflow.cli.findings import warn_of
-from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, write_result
+from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
 from objectflow.cli.progress import show_progress
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
@@ -33,20 +33,23 @@ from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
 from objectflow.storage.locked_folder import FolderKind, locked_folder
-from objectflow.tracking.tracker import Tracker
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.view.run_frames import RunFrames
+from objectflow.view.run_tracks import RunTracks
+from objectflow.view.video import write_video
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
   objectflow run recording --every 5 --camera moving --out result
-  objectflow run recording --intrinsics 615 615 320 240 --depth-scale 1000
+  objectflow run recording --intrinsics 615,615,320,240 --depth-scale 1000
   objectflow run table.bag --dt 0.5
   objectflow run table.bag --dt 0.5 --view
+  objectflow run table.bag --dt 0.5 --video
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
 SUMMARY = "summary.csv"
+VIDEO = "overlay.mp4"
 MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
 NOTES = "notes.txt"
@@ -63,7 +66,7 @@ RUN_FOLDER = FolderKind(
 
 
 @dataclass(frozen=True)
-class Run(ViewArguments, SourceArguments, MethodArguments):
+class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: a result folder per pair, a table, and a trajectory per object.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
@@ -80,6 +83,8 @@ class Run(ViewArguments, SourceArguments, MethodArguments):
     dt: Annotated[float | None, option("SECONDS", "every frame")] = None
     """Take a frame every SECONDS instead; objects must have moved between two frames."""
 
+    video: bool = False
+    """Also write overlay.mp4, the overlays of all pairs."""
     start: int = 0
     """First frame; the first one of the source is 0."""
 
@@ -91,7 +96,9 @@ class Run(ViewArguments, SourceArguments, MethodArguments):
 
     def run(self) -> None:
         """Read, estimate and write, pair by pair."""
-        estimator = self.estimator()
+        self.check_method()
+        if self.video and not self.pictures:
+            raise ReaderError("--video is made of the pictures: leave out --no-pictures")
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with silence_stderr(), warnings.catch_warnings():
             warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
@@ -108,6 +115,8 @@ class Run(ViewArguments, SourceArguments, MethodArguments):
                 raise next(iter(pairs.left_out.values()), None) or ReaderError(f"{self.source}: no pair of frames")
             for note in source.notes:
                 print(f"note: {note}")
+            # A wrong path is reported before the method, which is slow to load.
+            estimator = self.estimator()
             with self.viewer(self.source.stem) as viewer, _opened(out, self._settings(sequence, estimator)):
                 if self.out is None:
                     link_latest(out)
@@ -115,11 +124,13 @@ class Run(ViewArguments, SourceArguments, MethodArguments):
                 skipped = 0
                 last: tuple[int, PreparedFrame] | None = None
                 shown = RunFrames(sequence)
+                tracks = RunTracks(sequence, parts)
                 with show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance:
                     for prev_index, curr_index in itertools.chain([first], todo):
                         result = out / _name((prev_index, curr_index))
                         if result.is_dir():
                             skipped += 1
+                            tracks.add(prev_index, curr_index, sequence[curr_index], SceneMotion.load(result))
                         else:
                             curr = pairs.read(curr_index)
                             if last is None:
@@ -127,18 +138,26 @@ class Run(ViewArguments, SourceArguments, MethodArguments):
                             prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
                             # Reuse what the last pair computed on its current frame.
                             pair = FramePair(prev, curr)
+                            motion = estimate_pair(estimator, pair)
+                            marks = tracks.add(prev_index, curr_index, curr, motion)
                             with files.new_folder(result) as folder:
-                                write_result(folder, curr, estimate_pair(estimator, pair))
+                                write_result(
+                                    folder, curr, motion, tracks=marks, pictures=self.pictures, exports=self.export
+                                )
                             last = (curr_index, pair.curr)
                         finished.append((prev_index, curr_index))
                         advance()
                         viewer.show(partial(shown.read, result, prev_index, curr_index))
-                tracks = _track(out, finished, sequence)
+                write_tracks(out, tracks.tracker)
+                followed = len(tracks.tracker.tracks)
+                if self.video:
+                    overlays = [out / _name(pair) / "overlay.png" for pair in finished]
+                    write_video(out / VIDEO, overlays, tracks.frame_rate)
                 _summarise(out, finished, skipped=skipped)
                 _report(out, source.notes, pairs.left_out)
-                if tracks:
-                    print(f"{tracks} object{'s' * (tracks != 1)} followed: {TRACKS}, {TRAJECTORIES}")
-        print(f"written to {out}")
+                if followed:
+                    print(f"{followed} object{'s' * (followed != 1)} followed: {TRACKS}, {TRAJECTORIES}")
+        print_written(out)
 
     def _select(self, sequence: FrameSource) -> list[list[int]]:
         """The selected frames of each part of the sequence."""
@@ -200,28 +219,6 @@ def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
 
 def _name(pair: tuple[int, int]) -> str:
     return f"pair_{pair[0]:06d}_{pair[1]:06d}"
-
-
-def _track(out: Path, pairs: list[tuple[int, int]], sequence: FrameSource) -> int:
-    """Link the objects of all pairs, write their trajectories and return their number.
-
-    The results are read back, so that a continued run gives the same trajectories as an uninterrupted one.
-    """
-    tracker = Tracker()
-    times = {index: sequence.timestamp(index) for pair in pairs for index in pair}
-    last: int | None = None
-    for prev_index, curr_index in pairs:
-        if last is not None and prev_index != last:
-            tracker.reset()
-        last = curr_index
-        # Frame numbers serve as times where the source has none.
-        prev_time, time = (
-            float(index) if None in times.values() else float(times[index] or 0) for index in (prev_index, curr_index)
-        )
-        motion = SceneMotion.load(out / _name((prev_index, curr_index)))
-        tracker.update(prev_time, sequence[curr_index], time, motion)
-    write_tracks(out, tracker)
-    return len(tracker.tracks)
 
 
 def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:

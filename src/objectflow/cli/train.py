@@ -71,11 +71,16 @@ class Train:
 
     def run(self) -> None:
         """Train, and print the result or the command that continues the run."""
+        from objectflow.runtime.devices import find_device
         from objectflow.training.callbacks import CallbackList, TensorBoard, Terminal
         from objectflow.training.job import TrainJob
         from objectflow.training.loop import train
         from objectflow.training.parallel import is_first
         from objectflow.training.run_folder import WEIGHTS
+
+        if self.recipe != "cpu" and find_device(self.device).type == "cpu" and is_first():
+            note = f"no GPU is used: the recipe {self.recipe} takes days on a CPU; --recipe cpu is made for one"
+            print(f"objectflow: warning: {note}", file=sys.stderr)
 
         out = self.out or OUTPUT_ROOT / f"train-{self.settings.model.variant}-{self.recipe}"
         check_not_below_a_file(out)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from tyro.conf import Positional
 
-from objectflow.cli.arguments import CameraArguments, open_two, option
+from objectflow.cli.arguments import CameraArguments, open_location, open_two, option
 from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
@@ -24,6 +24,7 @@ from objectflow.view.viewer import open_viewer
 from objectflow.view.viewer_frames import ViewerFrame, pair_frames
 
 EXAMPLES = """\
+  objectflow view result
   objectflow view result --frames PAIR_DIR
   objectflow view run_folder
   objectflow view run_folder/pair_000000_000001
@@ -40,15 +41,15 @@ PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
 class View(CameraArguments):
     """Show frames, masks, motions and points in 3D and over time, in rerun's window, in a browser or as a file.
 
-    PATH is a result of `objectflow estimate` (which needs --frames), a folder of `objectflow run` or one pair in it,
-    or a data set of `objectflow generate`.
+    PATH is a result of `objectflow estimate`, a folder of `objectflow run` or one pair in it, or a data set of
+    `objectflow generate`.
     """
 
     path: Annotated[Positional[Path], option("RESULT_DIR | RUN_DIR | DATASET")]
     """What to show; its kind is detected."""
 
     frames: Annotated[tuple[Path, ...] | None, option("PAIR_DIR | COLOR0 DEPTH0 COLOR1 DEPTH1 | SOURCE")] = None
-    """The frames of a result, as given to `estimate`; for a run only if its source was moved."""
+    """The frames of a result or the source of a run; needed only if they were moved since."""
 
     key: Annotated[str | None, option("KEY", "the first row")] = None
     """Key of a pair or name of a sequence in a data set."""
@@ -97,13 +98,16 @@ class View(CameraArguments):
         )
 
     def _pair(self) -> Callable[[], Iterable[ViewerFrame]]:
-        if self.frames is None:
+        motion = SceneMotion.load(self.path)
+        if self.frames is not None:
+            prev, curr = open_two(self.frames, self.camera_options())
+        elif motion.frames:
+            prev, curr = open_location(motion.frames)
+        else:
             raise ReaderError(
-                f"{self.path}: a result does not hold its frames: add --frames with the pair folder or the four files "
-                "that were given to `objectflow estimate`"
+                f"{self.path}: the result was not made from files: add --frames with the pair folder or the four files"
             )
-        prev, curr = open_two(self.frames, self.camera_options())
-        return partial(pair_frames, prev, curr, SceneMotion.load(self.path))
+        return partial(pair_frames, prev, curr, motion)
 
     def _run(self) -> Callable[[], Iterable[ViewerFrame]]:
         pairs = sorted(

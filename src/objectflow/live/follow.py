@@ -66,11 +66,12 @@ def follow(
     while (curr := source.take(number)) is not None:
         number = curr.number
         taken, curr_time = clock(), _time_of(curr, clock)
+        if curr.part != prev.part:
+            # The recording restarted or the clock was set back, so tracking restarts here.
+            prev, prev_time, last = curr, curr_time, None
+            tracker.reset()
+            continue
         if curr_time - prev_time < min_gap or curr_time <= prev_time:
-            if curr_time < prev_time:
-                # The recording restarted or the clock was set back, so tracking restarts here.
-                prev, prev_time, last = curr, curr_time, None
-                tracker.reset()
             continue
         # What the last estimate computed on its current frame is not computed again.
         pair = FramePair(last or prev.frame, curr.frame)

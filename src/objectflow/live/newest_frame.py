@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Iterable, Iterator
 from types import TracebackType
@@ -11,10 +12,17 @@ from objectflow.frame import RgbdFrame
 
 
 class FrameTaken(NamedTuple):
-    """A frame and its number in the source, from 0."""
+    """A frame of a source.
+
+    Attributes:
+        number: of the frame in the source, from 0.
+        frame: the frame.
+        part: how often the time went back before it: a clock was set back, or a recording restarted.
+    """
 
     number: int
     frame: RgbdFrame
+    part: int
 
 
 class NewestFrame:
@@ -69,12 +77,17 @@ class NewestFrame:
 
     def _read(self) -> None:
         frames: Iterator[RgbdFrame] = iter(self._source)
+        part, last = 0, -math.inf
         try:
             for number, frame in enumerate(frames):
+                # Every frame is looked at here: the consumer may not see the one at which the time went back.
+                if frame.timestamp is not None:
+                    part += frame.timestamp < last
+                    last = frame.timestamp
                 with self._changed:
                     if self._stop:
                         break
-                    self._newest = FrameTaken(number, frame)
+                    self._newest = FrameTaken(number, frame, part)
                     self._changed.notify_all()
         except BaseException as error:  # Raised again by `take`, in the consumer's thread.
             self._error = error

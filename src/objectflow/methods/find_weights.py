@@ -83,7 +83,7 @@ def _from_hub(repository: str, method: str) -> Path:
         import huggingface_hub
     except ImportError as error:
         raise MissingExtraError(
-            f'weights from {HUB}{repository} need huggingface_hub: pip install "objectflow[hub]", or name a file'
+            f"weights from {HUB}{repository} need huggingface_hub", "hub", otherwise=", or name a file"
         ) from error
     name, _, revision = repository.partition("@")
     # Without a connection, the library would retry several times and print a message each time.

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import importlib
-from typing import Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from objectflow.errors import MethodError, SettingsError
-from objectflow.methods.base import PairEstimator
 from objectflow.settings import build, flat
+
+if TYPE_CHECKING:
+    from objectflow.methods.base import PairEstimator
 
 DEFAULT_METHOD = "rigidmatch"
 
@@ -112,9 +114,18 @@ def find_class(name: str) -> type[PairEstimator]:
     Raises:
         MethodError: an unknown name; the message lists the choices.
     """
+    check_name(name)
+    entry = METHODS[name]
+    return cast("type[PairEstimator]", getattr(importlib.import_module(entry.module), entry.factory))
+
+
+def check_name(name: str) -> None:
+    """Check the name of a method.
+
+    Raises:
+        MethodError: an unknown name; the message lists the choices.
+    """
     if name not in METHODS:
         near = difflib.get_close_matches(name, METHODS, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise MethodError(f"unknown method {name!r}: {hint}choose one of {', '.join(sorted(METHODS))}")
-    entry = METHODS[name]
-    return cast(type[PairEstimator], getattr(importlib.import_module(entry.module), entry.factory))

@@ -61,9 +61,8 @@ _VERTEX = np.dtype(
 _PLY_TYPES = {"<f4": "float", "|u1": "uchar", "<i4": "int"}
 
 
-def to_ply(frame: RgbdFrame, labels: LabelImage, flow: Float32Array, own_flow: Float32Array) -> bytes:
-    """A binary PLY file of the pixels with depth: position and flows in metres, colour, and object label."""
-    valid = frame.valid
+def to_ply(frame: RgbdFrame, valid: BoolMask, labels: LabelImage, flow: Float32Array, own_flow: Float32Array) -> bytes:
+    """A binary PLY file of the pixels `valid`, which have depth: position and flows in metres, colour, and label."""
     points = geometry.back_project(frame.depth, frame.camera)[valid]
     vertices = np.zeros(len(points), _VERTEX)
     for axis, name in enumerate("xyz"):

@@ -39,6 +39,8 @@ class SceneMotion:
         method: the estimator's name.
         seconds: duration of the estimate.
         settings: of the estimator, as plain JSON.
+        frames: where the frames were read from: `paths`, `intrinsics` (fx, fy, cx, cy) and `depth_scale`; empty if
+            they were not read from files.
         changes: what each step of the method changed, a line per step, where it was asked to record that.
 
     Raises:
@@ -52,6 +54,7 @@ class SceneMotion:
     method: str = ""
     seconds: float = field(default=0.0)
     settings: Mapping[str, Any] = field(default_factory=dict)
+    frames: Mapping[str, Any] = field(default_factory=dict)
     changes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -203,7 +206,24 @@ class SceneMotion:
         """
         return export.to_coco(self.labels, self.objects, image_id)
 
-    def to_ply(self, path: str | Path, frame: RgbdFrame) -> None:
+    def to_coco_dataset(self, file_name: str = "", image_id: int = 0) -> dict[str, Any]:
+        """The result as a COCO data set of one image, which COCO's own tools read.
+
+        Args:
+            file_name: of the current frame's colour image.
+            image_id: of the image and every annotation.
+
+        Returns:
+            A dict with images, annotations (see `to_coco`) and the single category "object".
+        """
+        height, width = self.labels.shape
+        return {
+            "images": [{"id": image_id, "file_name": file_name, "width": width, "height": height}],
+            "annotations": self.to_coco(image_id),
+            "categories": [{"id": 1, "name": "object"}],
+        }
+
+    def to_ply(self, path: str | Path, frame: RgbdFrame, number: int | None = None) -> None:
         """Write the points of the current frame as a binary PLY file with colour, label and flow.
 
         `flow_x` etc. are the scene flow, `own_flow_x` etc. the flow without the camera's motion, both in metres.
@@ -211,12 +231,14 @@ class SceneMotion:
         Args:
             path: of the file; one that exists is replaced.
             frame: the current frame of the estimate.
+            number: an object's id, whose points alone are written; all points if None.
 
         Raises:
-            ResultError: the frame has another size.
+            ResultError: the frame has another size, or there is no object with this id.
             StorageError: the file cannot be written.
         """
-        files.write_bytes(Path(path), export.to_ply(frame, self.labels, self.scene_flow, self.own_flow(frame)))
+        shown = frame.valid if number is None else frame.valid & self.mask(number)
+        files.write_bytes(Path(path), export.to_ply(frame, shown, self.labels, self.scene_flow, self.own_flow(frame)))
 
     def save(self, folder: str | Path) -> None:
         """Write `labels.png`, `scene_flow.npy` and `objects.json` into a new folder, atomically.
@@ -238,6 +260,7 @@ class SceneMotion:
             "method": self.method,
             "seconds": self.seconds,
             "settings": dict(self.settings),
+            "frames": dict(self.frames),
             "width": self.labels.shape[1],
             "height": self.labels.shape[0],
         }
@@ -261,4 +284,5 @@ class SceneMotion:
                 method=str(summary["method"]),
                 seconds=float(summary["seconds"]),
                 settings=dict(summary.get("settings", {})),
+                frames=dict(summary.get("frames", {})),
             )

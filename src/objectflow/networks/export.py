@@ -74,7 +74,7 @@ def export_onnx(
         import onnx
         import onnxruntime
     except ImportError as error:
-        raise MissingExtraError(f'export needs {error.name}: pip install "objectflow[onnx]"') from error
+        raise MissingExtraError(f"export needs {error.name}", "onnx") from error
     if min(size) < 8:
         raise MethodError(f"export needs a size of at least 8x8, not {size[0]}x{size[1]}")
     frames = _frames(size)

@@ -15,7 +15,7 @@ from objectflow.storage.foreign import foreign_errors
 try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError as error:
-    raise MissingExtraError('bags need rosbags: pip install "objectflow[bag]"') from error
+    raise MissingExtraError("bags need rosbags", "bag") from error
 
 _EXTRINSICS = "std_msgs/Header header\nfloat64[9] rotation\nfloat64[3] translation"
 """Definition of the RealSense driver's message."""

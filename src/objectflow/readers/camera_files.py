@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from objectflow.errors import CameraError, ReaderError
 from objectflow.readers.camera_mappings import from_mapping
@@ -119,6 +118,8 @@ def _json(text: str, path: Path) -> Any:
 def _yaml(text: str, path: Path) -> Any:
     if len(text) > MAX_YAML_BYTES:
         raise ReaderError(f"{path}: too large for a YAML camera file (at most {MAX_YAML_BYTES >> 10} KiB)")
+    import yaml  # slow to import, and most camera files are JSON
+
     # OpenCV writes a directive and tags that are not part of YAML.
     plain = "\n".join(line for line in text.splitlines() if not line.startswith("%"))
     with foreign_errors(ReaderError, f"{path}: not a camera file (JSON, YAML, a 3x3 matrix or fx fy cx cy)"):

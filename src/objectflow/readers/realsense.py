@@ -17,7 +17,7 @@ from objectflow.geometry.camera import Camera
 try:
     import pyrealsense2 as rs
 except ModuleNotFoundError as error:
-    raise MissingExtraError('RealSense cameras need pyrealsense2: pip install "objectflow[realsense]"') from error
+    raise MissingExtraError("RealSense cameras need pyrealsense2", "realsense") from error
 except ImportError as error:
     raise MissingExtraError(f"pyrealsense2 is installed, but it lacks a system library: {error}") from error
 

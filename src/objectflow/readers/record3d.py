@@ -219,5 +219,5 @@ def _lzfse() -> Any:
     try:
         import lzfse
     except ImportError as error:
-        raise MissingExtraError('.r3d files need lzfse: pip install "objectflow[record3d]"') from error
+        raise MissingExtraError(".r3d files need lzfse", "record3d") from error
     return lzfse

@@ -46,24 +46,19 @@ def scan_rows(connection: sqlite3.Connection) -> Iterator[MessageEntry]:
     ):
         if encoding in (None, "", "cdr"):
             channels[int(number)] = Channel(str(topic), full_type(str(msgtype)), is_cdr=True)
-    images = [number for number, channel in channels.items() if channel.msgtype in IMAGE_TYPES]
-    small = [number for number, channel in channels.items() if channel.msgtype in SMALL_TYPES]
-    # Only the pages of an image that hold its stamp are read.
-    head = (
-        f"CASE WHEN topic_id NOT IN ({_list(images)}) THEN substr(data, 1, {MAX_SMALL_BYTES + 1}) "
-        f"WHEN substr(data, 1, 4) = X'{ZSTD_MAGIC.hex()}' THEN substr(data, 1, {HEAD_BYTES}) "
-        f"ELSE substr(data, 1, {STAMP_BYTES}) END"
-    )
-    chosen = f"WHERE topic_id IN ({_list(images + small)}) ORDER BY id"
-    query = f"SELECT id, topic_id, timestamp, {head} FROM messages {chosen}"
-    for row, number, time, content in connection.execute(query):
+    wanted = [number for number, channel in channels.items() if channel.msgtype in IMAGE_TYPES | SMALL_TYPES]
+    query = f"SELECT id, topic_id, timestamp FROM messages WHERE topic_id IN ({_list(wanted)}) ORDER BY id"
+    for row, number, time in connection.execute(query):
         channel = channels[int(number)]
         location = MessageLocation(None, int(row), 0)
-        data = bytes(content)
         if channel.msgtype in IMAGE_TYPES:
-            start = unpack_head(data, STAMP_BYTES) if data.startswith(ZSTD_MAGIC) else data
-            yield MessageEntry(channel, int(time), header_stamp(start, is_cdr=True), location)
-        elif len(data) <= MAX_SMALL_BYTES:
+            head = _read_start(connection, int(row), STAMP_BYTES)
+            if head.startswith(ZSTD_MAGIC):
+                head = unpack_head(_read_start(connection, int(row), HEAD_BYTES), STAMP_BYTES)
+            yield MessageEntry(channel, int(time), header_stamp(head, is_cdr=True), location)
+            continue
+        data = _read_start(connection, int(row), MAX_SMALL_BYTES + 1)
+        if len(data) <= MAX_SMALL_BYTES:
             message = unpack_message(data)
             yield MessageEntry(channel, int(time), header_stamp(message, is_cdr=True), location, message)
 
@@ -79,6 +74,16 @@ def read_row(connection: sqlite3.Connection, location: MessageLocation) -> bytes
     if found is None:
         raise LookupError("the row has disappeared")
     return unpack_message(bytes(found[0]))
+
+
+def _read_start(connection: sqlite3.Connection, row: int, size: int) -> bytes:
+    """The first `size` bytes of a message, or all of a shorter one."""
+    if hasattr(connection, "blobopen"):  # since Python 3.11
+        # Only the pages with these bytes are read; a query reads all pages of the message.
+        with connection.blobopen("messages", "data", row, readonly=True) as blob:
+            return blob.read(size)
+    found = connection.execute("SELECT substr(data, 1, ?) FROM messages WHERE id = ?", (size, row)).fetchone()
+    return bytes(found[0])
 
 
 def _list(numbers: list[int]) -> str:

@@ -14,7 +14,7 @@ try:
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
     import ray
 except ImportError as error:
-    raise MissingExtraError('--ray needs Ray: pip install "objectflow[ray]"') from error
+    raise MissingExtraError("--ray needs Ray", "ray") from error
 
 RETRIES = 3
 """Number of times a job is repeated after its node or process was lost; results do not depend on where it runs."""

@@ -9,7 +9,6 @@ from typing import IO, Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, TiffImagePlugin, UnidentifiedImageError
 
 from objectflow.errors import ReaderError
 from objectflow.storage.foreign import foreign_errors
@@ -29,6 +28,9 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
     Raises:
         ReaderError: no header of a known format.
     """
+    # Imported when an image is read, since Pillow takes longer to import than a wrong path to be refused.
+    from PIL import Image, UnidentifiedImageError
+
     with foreign_errors(ReaderError, f"{path}: not an image that can be decoded"):
         if file.read(4) in _TIFF_STARTS:
             return _tiff_size(file)
@@ -47,6 +49,8 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
 
 def _tiff_size(file: IO[bytes]) -> tuple[int, int]:
     """The (width, height) of a TIFF; `Image.open` refuses pixel types that OpenCV decodes, such as float64."""
+    from PIL import TiffImagePlugin
+
     file.seek(0)
     header = file.read(8)
     directory = TiffImagePlugin.ImageFileDirectory_v2(header + (file.read(8) if header[2:3] == b"+" else b""))

@@ -75,5 +75,5 @@ def _library() -> Any:
     try:
         import OpenEXR
     except ImportError as error:
-        raise MissingExtraError('OpenEXR files need OpenEXR: pip install "objectflow[exr]"') from error
+        raise MissingExtraError("OpenEXR files need OpenEXR", "exr") from error
     return OpenEXR

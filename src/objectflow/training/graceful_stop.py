@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
+
+MESSAGE = b"\nobjectflow: finishing this step and saving a checkpoint; Ctrl-C again stops without one\n"
+"""Printed on the first signal."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -49,6 +53,8 @@ class GracefulStop:
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
         self._restore()
+        # One write, since a signal may arrive while another message is printed.
+        os.write(2, MESSAGE)
 
     def _restore(self) -> None:
         for number, handler in self._before.items():

@@ -15,7 +15,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.resample import resize_color, resize_nearest
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.typing import BoolMask, Float32Array, LabelImage, UInt8Array
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage, UInt8Array
 from objectflow.view import canvas
 from objectflow.view.colors import INK, PAPER, object_color
 from objectflow.view.tags import Tag, draw_legend, draw_numbers, draw_tags
@@ -24,23 +24,25 @@ TARGET_WIDTH = 960
 """Minimum width, pixels; smaller images are enlarged by an integer factor so that text and outlines are crisp."""
 MAX_LENGTH = 1920
 """Maximum length of the longer side, pixels; larger images are reduced."""
+NO_TRACK = (173, 181, 189)
+"""Colour of objects without a track, RGB."""
 MAX_TAGS = 10
 """Number of moving objects above which captions move from the image to a legend below it."""
 
 
-class Trail(NamedTuple):
-    """The path of an object's centre until now: (N, 3) metres, current camera frame, the oldest first."""
+class TrackMarks(NamedTuple):
+    """Numbers, colours and trails that last over a sequence.
 
-    points: Float32Array
+    Attributes:
+        ids: track id by the object's id in the result; other objects are drawn in grey and without a number.
+        trails: track id -> (N, 3) metres, the earlier positions of the object, current camera frame, oldest first.
+    """
+
+    ids: Mapping[int, int]
+    trails: Mapping[int, Float64Array]
 
 
-def draw_overlay(
-    curr: RgbdFrame,
-    motion: SceneMotion,
-    *,
-    ids: Mapping[int, int] | None = None,
-    trails: Mapping[int, Trail] | None = None,
-) -> UInt8Array:
+def draw_overlay(curr: RgbdFrame, motion: SceneMotion, tracks: TrackMarks | None = None) -> UInt8Array:
     """Draw the objects over the current frame.
 
     Moving objects are filled and have an arrow from their centre's previous to its current position in the world,
@@ -49,14 +51,13 @@ def draw_overlay(
     Args:
         curr: the current frame, (H, W).
         motion: its result, of the same size.
-        ids: number and colour of each object by its id in the result, such as those of its track; its id if absent.
-        trails: by the same numbers.
+        tracks: numbers, colours and trails of the objects; those of the result, and no trails, if None.
 
     Returns:
         (H', W', 3) uint8 RGB. W' is a whole multiple of W for images up to `MAX_LENGTH`. More than `MAX_TAGS` moving
         objects are listed in a legend below the image.
     """
-    numbers = {obj.id: (ids or {}).get(obj.id, obj.id) for obj in motion.objects}
+    numbers = {obj.id: obj.id for obj in motion.objects} if tracks is None else tracks.ids
     color, labels, camera = _reduced(curr, motion.labels)
     scale = math.ceil(TARGET_WIDTH / camera.width)
     size = (camera.width * scale, camera.height * scale)
@@ -70,17 +71,18 @@ def draw_overlay(
     ordered = sorted(visible, key=lambda obj: obj.moving)
     anchors = {}
     for obj in ordered:
-        shade = object_color(numbers[obj.id])
+        shade = object_color(numbers[obj.id]) if obj.id in numbers else NO_TRACK
         anchors[obj.id] = _draw_mask(image, photo, labels, obj, boxes[obj.id - 1], shade, scale, unit)
-    for number, trail in (trails or {}).items():
+    for number, trail in (tracks.trails if tracks else {}).items():
         _draw_trail(image, camera, trail, object_color(number), scale, unit)
     tags = []
     for obj in ordered:
         anchor = anchors[obj.id]
         if obj.moving:
             anchor = _draw_arrow(image, camera, obj, scale, unit) or anchor
-        tags.append(Tag.of(obj, numbers[obj.id], anchor, boxes[obj.id - 1], scale))
-    if sum(obj.moving for obj in ordered) > MAX_TAGS:
+        if obj.id in numbers:
+            tags.append(Tag.of(obj, numbers[obj.id], anchor, boxes[obj.id - 1], scale))
+    if sum(tag.caption != "" for tag in tags) > MAX_TAGS:
         draw_numbers(image, tags, unit)
         return draw_legend(image, tags, unit)
     draw_tags(image, tags, labels > 0, scale, unit)
@@ -163,10 +165,10 @@ def _draw_arrow(image: UInt8Array, camera: Camera, obj: ObjectMotion, scale: int
 
 
 def _draw_trail(
-    image: UInt8Array, camera: Camera, trail: Trail, color: tuple[int, int, int], scale: int, unit: float
+    image: UInt8Array, camera: Camera, trail: Float64Array, color: tuple[int, int, int], scale: int, unit: float
 ) -> None:
     """Draw the earlier positions of an object's centre as a line."""
-    pixels = geometry.project(trail.points, camera)
+    pixels = geometry.project(trail, camera)
     limit = 4 * max(camera.width, camera.height)
     points = [_enlarge(float(u), float(v), scale) for u, v in pixels if max(abs(u), abs(v)) < limit]
     if len(points) > 1:

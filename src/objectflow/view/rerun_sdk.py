@@ -8,6 +8,6 @@ try:
     import rerun as rr
     import rerun.blueprint as rrb
 except ImportError as error:
-    raise MissingExtraError("the viewer needs rerun: pip install 'objectflow[view]'") from error
+    raise MissingExtraError("the viewer needs rerun", "view") from error
 
 __all__ = ["rr", "rrb"]

@@ -105,6 +105,17 @@ def test_a_stl_becomes_an_object(tmp_path: Path, cache: Path) -> None:
     assert all(np.array_equal(a, b) for a, b in zip(again.parts, model.parts, strict=True))
 
 
+def test_hulls_replace_the_decomposition(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mesh_library, "decompose", lambda *_: pytest.fail("decomposed"))
+    write_boxes(tmp_path / "boxes", 2)
+    model = MeshLibrary(tmp_path / "boxes", cache, hulls=True).load(ModelRef("boxes", "box1.stl"))
+    assert len(model.parts) == 1
+    assert ConvexHull(model.parts[0]).volume == pytest.approx(0.1 * 0.061 * 0.03, rel=1e-6)
+    monkeypatch.undo()
+    solved = MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box1.stl"))
+    assert not np.array_equal(solved.parts[0], model.parts[0])  # the two are cached separately
+
+
 def test_the_second_load_uses_the_cache(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_boxes(tmp_path / "boxes", 1)
     first = MeshLibrary(tmp_path / "boxes", cache).load(ModelRef("boxes", "box0.stl"))

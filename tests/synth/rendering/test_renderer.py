@@ -17,6 +17,7 @@ from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
 from objectflow.synth.objects.procedural import ProceduralLibrary
 from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays
 from objectflow.synth.rendering.renderer import Renderer
+from objectflow.synth.scenes.scene_data import Light
 from objectflow.typing import Float64Array, UInt8Array
 
 mujoco = pytest.importorskip("mujoco", reason="rendering needs the extra [synth]")
@@ -361,3 +362,43 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, m
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=r"objectflow\[synth\]"):
         Renderer(8, 8)
+
+
+def test_images_with_their_own_cameras_equal_those_rendered_one_by_one(renderer: Renderer) -> None:
+    model = cube_scene(0.1)
+    places = np.concatenate([poses((0.0, 0.0, 0.1)), poses((0.1, -0.05, 0.2))])
+    cameras = np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0)), look_at((-0.2, 0.7, 0.6), (0, 0, 0.1))])
+    lamp = Light((0.3, -0.4, 1.5), (DIFFUSE / 2,) * 3, (0.0, 0.0, 0.0), (AMBIENT / 2,) * 3)
+    together = renderer.render_each(model, places, cameras, [(lamp, lamp)] * 2)
+    assert together.color.shape == (2, 1, HEIGHT, WIDTH, 3)
+    for k in (0, 1):
+        alone = renderer.render(model, places[k : k + 1], cameras[k : k + 1])
+        np.testing.assert_array_equal(together.color[k], alone.color[0])
+        np.testing.assert_array_equal(together.depth[k], alone.depth[0])
+        np.testing.assert_array_equal(together.labels[k], alone.labels[0])
+
+
+def test_each_image_has_its_own_light(renderer: Renderer) -> None:
+    model = cube_scene(0.1)
+    places = np.repeat(poses((0.0, 0.0, 0.1)), 3, axis=0)
+    cameras = np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0))] * 3)
+    dark = Light((0.3, -0.4, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.2, 0.1, 0.05))
+    left, right = (Light((side, 0.0, 1.5), (0.3, 0.3, 0.3), (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)) for side in (-1.0, 1.0))
+    seen = renderer.render_each(model, places, cameras, [(dark, dark), (left, left), (right, right)])
+    # The floor is white: without direct light it has the sum of the two lamps' ambient light.
+    floor = seen.color[0, 0][seen.labels[0, 0] == 0]
+    np.testing.assert_allclose(floor, np.broadcast_to([0.4 * 255, 0.2 * 255, 0.1 * 255], floor.shape), atol=1)
+    np.testing.assert_array_equal(seen.depth[1], seen.depth[2])
+    # The lamps stand on different sides, so that the cube's shadow falls on different parts of the floor.
+    shadows = (seen.color[1:, 0].mean(-1) < 80) & (seen.labels[1:, 0] == 0)
+    assert shadows.sum(axis=(1, 2)).min() > 30
+    assert not (shadows[0] & shadows[1]).any()
+
+
+def test_poses_and_lamps_must_fit_the_images(renderer: Renderer) -> None:
+    model, cameras = cube_scene(0.1), np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0))] * 2)
+    lamp = Light((0.3, -0.4, 1.5), (0.2, 0.2, 0.2), (0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
+    with pytest.raises(DatasetError, match=r"and \[2, 1\] lamps do not fit the scene: it needs .* and 2 lamps"):
+        renderer.render_each(model, np.repeat(poses((0, 0, 0)), 2, axis=0), cameras, [(lamp, lamp), (lamp,)])
+    with pytest.raises(DatasetError, match="do not fit the scene"):
+        renderer.render_each(model, poses((0, 0, 0)), cameras, [(lamp, lamp)] * 2)

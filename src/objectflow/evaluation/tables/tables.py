@@ -70,7 +70,7 @@ def _flow_table(evaluation: Evaluation) -> Table:
                 "seconds": Cell(text=row.seconds),
             },
         )
-        for row in paper_rows.FLOW
+        for row in (() if evaluation.kind == "real" else paper_rows.FLOW)
     ]
     return Table("scene-flow", "Scene flow", columns, (*_rows(evaluation, cells), *printed), main=True)
 
@@ -86,6 +86,9 @@ def _segmentation_table(evaluation: Evaluation) -> Table:
     )
     in_sequences = evaluation.kind == "sequences"
     true_objects = paper_rows.TEST_SEQ_OBJECTS if in_sequences else paper_rows.TEST_OBJECTS
+    printed_rows: tuple[paper_rows.PaperSegmentation, ...] = paper_rows.TEST_SEQ if in_sequences else paper_rows.TEST
+    if evaluation.kind == "real":
+        printed_rows = ()
     printed = [
         Row(
             row.method,
@@ -98,7 +101,7 @@ def _segmentation_table(evaluation: Evaluation) -> Table:
                 "share": Cell(row.extracted / true_objects),
             },
         )
-        for row in (paper_rows.TEST_SEQ if in_sequences else paper_rows.TEST)
+        for row in printed_rows
     ]
     rows = (*_rows(evaluation, lambda summary: _form_cells(summary.mean_f)), *printed)
     name = "TestSeq" if in_sequences else "Test"
@@ -256,8 +259,9 @@ def _notes(evaluation: Evaluation) -> tuple[str, ...]:
         f"{facts['pairs']} of {facts['of']} pairs ({facts['scenes']} scenes) of {facts['data']}{split}, sha256 "
         f"{str(facts['sha256'])[:16]}; objectflow {facts['objectflow']}.",
         "± is the standard deviation over images; [ ] is the 95% bootstrap interval over scenes.",
-        f"(paper): {paper_rows.SOURCE}; not to be compared as if they were on these pairs.",
     ]
+    if evaluation.kind != "real":
+        notes.append(f"(paper): {paper_rows.SOURCE}; not to be compared as if they were on these pairs.")
     runs: dict[str, list[str]] = {}
     for method in evaluation.methods:
         if method.summary is not None:

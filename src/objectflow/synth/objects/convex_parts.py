@@ -59,7 +59,7 @@ def decompose(vertices: Float64Array, faces: LabelImage, name: str) -> tuple[Flo
         MissingExtraError: coacd is not installed.
     """
     if importlib.util.find_spec("coacd") is None:
-        raise MissingExtraError('convex parts of a mesh need coacd: pip install "objectflow[synth]"')
+        raise MissingExtraError("convex parts of a mesh need coacd", "synth")
     for preprocess in ("auto", "on"):  # the solver fails an assertion on some closed meshes
         parts = run_solver(vertices, faces, preprocess)
         if parts:

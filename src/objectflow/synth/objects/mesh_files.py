@@ -50,7 +50,7 @@ def read_mesh(path: Path) -> MeshFile:
     try:
         import trimesh
     except ImportError as error:
-        raise MissingExtraError('reading mesh files needs trimesh: pip install "objectflow[synth]"') from error
+        raise MissingExtraError("reading mesh files needs trimesh", "synth") from error
     try:
         scene = trimesh.load(path, force="scene", process=False)
         geometries = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]

@@ -75,7 +75,7 @@ def _import_bullet() -> ModuleType:
     try:
         import pybullet
     except ImportError as error:
-        raise MissingExtraError('the engine "bullet" needs PyBullet: pip install "objectflow[bullet]"') from error
+        raise MissingExtraError("the engine 'bullet' needs PyBullet", "bullet") from error
     module: ModuleType = pybullet
     return module
 

@@ -33,7 +33,7 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ImportError as error:
-        raise MissingExtraError('simulation needs MuJoCo: pip install "objectflow[synth]"') from error
+        raise MissingExtraError("simulation needs MuJoCo", "synth") from error
     return mujoco
 
 

@@ -23,13 +23,13 @@ def import_tracer() -> tuple[ModuleType, ModuleType]:
     try:
         import warp
     except ImportError as error:
-        raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
+        raise MissingExtraError("rendering needs mujoco-warp", "synth") from error
     # Warp warns about a missing CUDA driver, which most machines do not need.
     with quiet(warp), silence_stderr():
         try:
             import mujoco_warp
         except ImportError as error:
-            raise MissingExtraError('rendering needs mujoco-warp: pip install "objectflow[synth]"') from error
+            raise MissingExtraError("rendering needs mujoco-warp", "synth") from error
         warp.init()
     _cache_version_checks()
     return warp, mujoco_warp

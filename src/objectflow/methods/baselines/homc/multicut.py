@@ -25,7 +25,7 @@ def import_solver() -> Any:
     try:
         from bioimage_cpp import graph
     except ImportError as error:
-        raise MissingExtraError('homc needs bioimage-cpp: pip install "objectflow[baselines]"') from error
+        raise MissingExtraError("homc needs bioimage-cpp", "baselines") from error
     return graph
 
 

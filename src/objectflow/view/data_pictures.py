@@ -1,4 +1,4 @@
-"""Pictures of rows: colour with the centres of objects, depth, labels and scene flow."""
+"""Pictures of a data set's rows: colour with the centres of objects, depth, labels, and the flow as in `flow.png`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
-from objectflow.dataset.moving_objects import keep_labels, moving_labels
+from objectflow.dataset.moving_objects import keep_labels
+from objectflow.dataset.row_motion import motion_of_row
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.typing import Float32Array, LabelImage, UInt8Array
+from objectflow.view.flow import draw_flow
 
 TITLE = 18
 """Pixels: height of the title above each panel."""
@@ -25,41 +27,51 @@ PANEL_WIDTH = 320
 
 
 def draw_pair(row: PairRow) -> UInt8Array:
-    """Draw a pair (h, w, 3) uint8 RGB: colour, depth and labels of both frames, scene flow and its length.
+    """Draw a pair (h, w, 3) uint8 RGB: colour, depth and labels of both frames, and the flow as in `flow.png`.
 
     Crosses are the centres of objects visible in both frames; lines on the current frame lead to the previous centres.
     """
     near, far = _range([row.prev, row.curr])
-    motions = {obj.label: obj.prev_T_curr(raw=True) for obj in row.objects if obj.in_both}
-    points = geometry.back_project(row.curr.depth, row.curr.camera)
-    flow = geometry.flow_from_motions(points, row.curr_labels, motions, row.camera_motion)
-    length = np.linalg.norm(flow, axis=-1)
-    reach = max(0.01, float(np.nanmax(length, initial=0)))
     both = [obj for obj in row.objects if obj.in_both]
     centers = np.array([obj.center for obj in both]).reshape(-1, 3)
     before = centers + np.array([obj.translation for obj in both]).reshape(-1, 3)
-    moved = int(sum(np.linalg.norm(obj.translation) > 0.005 for obj in both))
-    if row.camera_motion is not None:
-        moved = len(moving_labels(row))
-    moving = row.curr_labels if row.camera_motion is None else keep_labels(row.curr_labels, moving_labels(row))
+    motion = motion_of_row(row)
+    moving = keep_labels(row.curr_labels, {obj.id for obj in motion.moving})
     panels = [
         [
             ("previous", _with_centers(row.prev, before, None)),
             ("current, centres and where they were", _with_centers(row.curr, centers, before)),
-            (f"scene flow to previous, up to {100 * reach:.1f} cm", _draw_flow(flow, reach)),
+            (f"{row.key}: {len(row.objects)} objects, {len(motion.moving)} moved", _draw_labels(moving, None)),
         ],
         [
             (f"previous depth, {near:.2f}-{far:.2f} m", _draw_depth(row.prev.depth, near, far)),
             (f"current depth, {near:.2f}-{far:.2f} m", _draw_depth(row.curr.depth, near, far)),
-            (f"flow length, up to {100 * reach:.1f} cm", _draw_length(length, reach)),
-        ],
-        [
-            ("previous labels", _draw_labels(row.prev_labels, row.prev.color)),
             ("current labels", _draw_labels(row.curr_labels, row.curr.color)),
-            (f"{row.key}: {len(row.objects)} objects, {moved} moved", _draw_labels(moving, None)),
         ],
     ]
-    return _sheet(panels)
+    grid = _sheet(panels)
+    flow = draw_flow(row.curr, motion)
+    height = round(flow.shape[0] * grid.shape[1] / flow.shape[1])
+    flow = np.asarray(cv2.resize(flow, (grid.shape[1], height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return np.concatenate([grid, flow])
+
+
+def draw_rows(rows: Sequence[PairRow]) -> UInt8Array:
+    """Draw several pairs, one per line (h, w, 3) uint8 RGB: both frames with centres, and the current labels."""
+    lines = []
+    for row in rows:
+        both = [obj for obj in row.objects if obj.in_both]
+        centers = np.array([obj.center for obj in both]).reshape(-1, 3)
+        before = centers + np.array([obj.translation for obj in both]).reshape(-1, 3)
+        moved = len(motion_of_row(row).moving)
+        lines.append(
+            [
+                (f"{row.key}, previous", _with_centers(row.prev, before, None)),
+                ("current, centres and where they were", _with_centers(row.curr, centers, before)),
+                (f"labels, {len(row.objects)} objects, {moved} moved", _draw_labels(row.curr_labels, row.curr.color)),
+            ]
+        )
+    return _sheet(lines)
 
 
 def draw_frames(rows: Sequence[SequenceRow]) -> UInt8Array:
@@ -119,18 +131,6 @@ def _draw_labels(labels: LabelImage, color: UInt8Array | None) -> UInt8Array:
     if color is not None:
         picture = np.where(labels[..., None] > 0, 0.55 * picture + 0.45 * color, 0.6 * color)
     return _enlarge(picture.astype(np.uint8), smooth=False)
-
-
-def _draw_flow(flow: Float32Array, reach: float) -> UInt8Array:
-    """Red, green and blue encode motion along x, y and z; grey is no motion, black is missing depth."""
-    picture = 127.5 + 127.5 * np.clip(np.nan_to_num(flow) / reach, -1, 1)
-    picture[np.isnan(flow).any(-1)] = 0
-    return _enlarge(picture.astype(np.uint8), smooth=False)
-
-
-def _draw_length(length: Float32Array, reach: float) -> UInt8Array:
-    level = (255 * np.clip(np.nan_to_num(length) / reach, 0, 1)).astype(np.uint8)
-    return _enlarge(cv2.applyColorMap(level, cv2.COLORMAP_INFERNO)[..., ::-1], smooth=False)
 
 
 def _range(frames: Sequence[RgbdFrame]) -> tuple[float, float]:
