@@ -46,12 +46,9 @@ def read_exr(path: Path) -> NDArray[Any]:
         header = _read_header(path)
         width, height = _window(header)
         name = _depth_channel([channel.name for channel in header["channels"]], path)
-        openexr = _library()
-        file = openexr.InputFile(str(path))
-        stored = file.channel(name)
-        if len(stored) == 2 * width * height:
-            return np.frombuffer(stored, np.float16).reshape(height, width)
-        return np.frombuffer(file.channel(name, openexr.FLOAT), np.float32).reshape(height, width)
+        stored = _library().InputFile(str(path)).channel(name)
+        kind = np.float16 if len(stored) == 2 * width * height else np.float32
+        return np.frombuffer(stored, kind).reshape(height, width)
 
 
 def _read_header(path: Path) -> dict[str, Any]:
