@@ -137,4 +137,4 @@ def _kill_at(point: int) -> None:
         setattr(os, name, counted(getattr(os, name), lambda *_, **__: True))
     os.open = counted(os.open, creates)
     opened = counted(open, writes)
-    builtins.open, io.open = opened, opened  # type: ignore[assignment]
+    builtins.open, io.open = opened, opened

@@ -13,8 +13,8 @@ from tyro.conf import Positional
 from objectflow.dataset.moving_objects import moving_labels
 from objectflow.dataset.schema import PairRow
 from objectflow.dataset.shards import open_pairs
-from objectflow.view.data_pictures import label_color
 from objectflow.typing import LabelImage, UInt8Array
+from objectflow.view.data_pictures import label_color
 
 
 @dataclasses.dataclass

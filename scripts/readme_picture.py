@@ -57,7 +57,8 @@ def flow_in_3d(curr: of.RgbdFrame, motion: of.SceneMotion) -> UInt8Array:
 def _view(points: Float64Array, curr: of.RgbdFrame) -> tuple[Float64Array, Float64Array]:
     """Pixels (N, 2) and depth (N,) of points in the turned view."""
     middle = np.array([0.0, 0.02, 0.78])
-    yaw, pitch = (geometry.so3_exp(np.radians(angle) * axis) for angle, axis in ((YAW, np.eye(3)[1]), (PITCH, np.eye(3)[0])))
+    x, y, _ = np.eye(3)
+    yaw, pitch = geometry.so3_exp(np.radians(YAW) * y), geometry.so3_exp(np.radians(PITCH) * x)
     turned = (points - middle) @ (pitch @ yaw).T + middle + [0, 0, 0.02]
     scale = WIDTH / curr.camera.width
     pixels = turned[:, :2] / turned[:, 2:] * curr.camera.fx * scale + [WIDTH / 2, HEIGHT / 2]

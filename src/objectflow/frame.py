@@ -171,7 +171,8 @@ class RgbdFrame:
             raise CameraError(f"a width must be a whole number of pixels, not {width!r}")
         if self.camera.width <= width:
             return self
-        return self.resized(width, max(1, round(self.camera.height * width / self.camera.width)))
+        whole = int(width)
+        return self.resized(whole, max(1, round(self.camera.height * whole / self.camera.width)))
 
 
 def _as_array(value: Any) -> Any:
