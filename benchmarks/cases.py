@@ -25,6 +25,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+import cases_files
 import objectflow
 from objectflow.cli import main as run_command
 from objectflow.errors import ObjectflowError
@@ -285,6 +286,22 @@ def bag_depth_png(folder: Path) -> Outcome:
 @case("bag-yuv422")
 def bag_yuv422(folder: Path) -> Outcome:
     return same_images(folder, folder.parent / "bag-depth-png-compressed")
+
+
+def of_files(entry: cases_files.Case) -> Callable[[Path], Outcome]:
+    """The function of a case of image files."""
+
+    def find(folder: Path) -> Outcome:
+        if not folder.is_dir():
+            return Outcome(entry.expected, "no such folder", ok=False)
+        outcome = entry.find(folder)
+        return Outcome(entry.expected, outcome.text, outcome.ok)
+
+    return find
+
+
+for file_case in cases_files.CASES:
+    case(file_case)(of_files(cases_files.CASES[file_case]))
 
 
 if __name__ == "__main__":

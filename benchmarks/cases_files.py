@@ -1,16 +1,9 @@
-"""Recordings of image files as they are found in the field, each with its expected outcome.
-
-    python benchmarks/cases_files.py FOLDER
-
-FOLDER holds one folder per case, whose name is that of a function here. Prints a row per case and exits with 1 if one
-fails; a case whose folder is missing is skipped.
-"""
+"""The cases of `cases.py` that are folders of image files, each with its expected outcome."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from objectflow.cli import main as command_line
 from objectflow.errors import ObjectflowError
@@ -143,30 +134,3 @@ CASES: dict[str, Case] = {
     "crop-off-center": Case("estimated; one thing moves", crop_off_center),
     "invalid-is-65535": Case("65535 is missing", invalid_is_65535),
 }
-
-
-def main() -> int:
-    """Find the outcome of every case, print the table and return the exit code."""
-    if len(sys.argv) != 2:
-        print(__doc__)
-        return 2
-    table, failed = Table(show_edge=False), 0
-    for column in ("case", "expected", "outcome", "ok"):
-        table.add_column(column, overflow="fold")
-    for name, case in CASES.items():
-        folder = Path(sys.argv[1]) / name
-        if not folder.is_dir():
-            table.add_row(name, case.expected, "no such folder", "skipped")
-            continue
-        try:
-            outcome = case.find(folder)
-        except ObjectflowError as error:
-            outcome = Outcome(str(error), False)
-        failed += not outcome.ok
-        table.add_row(name, case.expected, outcome.text, "yes" if outcome.ok else "NO")
-    Console(width=160).print(table)
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
