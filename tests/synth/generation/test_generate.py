@@ -20,6 +20,7 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs, open_sequences
 from objectflow.errors import DatasetError, ObjectflowError, StorageError
 from objectflow.runtime.pool import InProcess, Pool, Processes
+from objectflow.storage.temporaries import temporary_file
 from objectflow.synth.generation import jobs as generation_jobs
 from objectflow.synth.generation.generate import GenerationProgress, generate
 from objectflow.synth.generation.jobs import GenerationJob
@@ -155,17 +156,15 @@ def test_a_run_that_is_killed_ten_times_and_continued_gives_the_same_bytes(tmp_p
 def test_temporary_files_of_killed_runs_alone_are_removed(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
     (tmp_path / "a").mkdir()
-    process = subprocess.Popen([sys.executable, "-c", "pass"])
-    process.wait()
-    dead = tmp_path / "a" / f".train-00001-of-00003.parquet.{process.pid}.tmp"
-    alive = tmp_path / "a" / f".train-00002-of-00003.parquet.{os.getppid()}.tmp"
-    foreign = tmp_path / "a" / ".notes.1.tmp"
-    for path in (dead, alive, foreign):
+    dead, foreign = tmp_path / "a" / ".objectflow-0123456789abcdef.tmp", tmp_path / "a" / ".notes.1.tmp"
+    for path in (dead, foreign):
         path.write_bytes(b"half")
+    alive = temporary_file(tmp_path / "a")
     run(tmp_path / "a", pool)
     assert not dead.exists()
-    assert alive.exists()
+    assert alive.path.exists()
     assert foreign.exists()
+    alive.remove()
 
 
 def test_finished_shards_are_kept_and_a_removed_one_is_made_again(tmp_path: Path, pool: Pool) -> None:
