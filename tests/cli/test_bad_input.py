@@ -158,7 +158,7 @@ def test_an_unwritable_output_folder_is_reported_before_the_estimate(
 
         return call
 
-    monkeypatch.setattr("objectflow.storage.files.tempfile.mkdtemp", refuse)
+    monkeypatch.setattr("objectflow.storage.files.temporary_folder", refuse)
     monkeypatch.setattr("objectflow.cli.arguments.load", never)
     assert main([command, str(PAIR), "--out", str(tmp_path / "a" / "b")]) == 1
     check_one_line(capfd, "Permission denied")
