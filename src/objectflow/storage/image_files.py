@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import MAX_PIXELS
 from objectflow.storage import array_files, coded_images, exr_files
-from objectflow.storage.coded_images import MAX_PIXELS
 from objectflow.typing import Float32Array, UInt8Array
 
 IMAGE_SUFFIXES = frozenset(
