@@ -193,7 +193,7 @@ def parquet_bytes(rng: random.Random, folder: Path) -> Read:
     path = next((folder / "set").glob("*.parquet"))
     path.write_bytes(mutations.bytes_of(rng, path.read_bytes()))
     _describe(folder / "set", path)
-    return _rows(folder / "set")
+    return rows_of(folder / "set")
 
 
 def parquet_rows(rng: random.Random, folder: Path) -> Read | None:
@@ -217,7 +217,7 @@ def parquet_rows(rng: random.Random, folder: Path) -> Read | None:
     except (pa.ArrowException, TypeError, ValueError, OverflowError):
         return None
     _describe(folder / "set", path)
-    return _rows(folder / "set")
+    return rows_of(folder / "set")
 
 
 def manifests(rng: random.Random, folder: Path) -> Read:
@@ -227,7 +227,7 @@ def manifests(rng: random.Random, folder: Path) -> Read:
         path.write_bytes(mutations.bytes_of(rng, path.read_bytes()))
     else:
         path.write_text(json.dumps(mutations.value_of(rng, json.loads(path.read_text()))))
-    check = _rows(folder / "set")
+    check = rows_of(folder / "set")
     return _all(lambda: verify(folder / "set", Manifest.read(folder / "set")), check)
 
 
@@ -341,7 +341,7 @@ def _describe(folder: Path, path: Path) -> None:
     (folder / "manifest.json").write_text(json.dumps(values))
 
 
-def _rows(folder: Path) -> Read:
+def rows_of(folder: Path) -> Read:
     def pairs() -> None:
         rows = open_pairs(folder)
         _all(

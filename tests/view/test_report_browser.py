@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from browser import Page, chromium, find_chromium
-from helpers.report_set import make_set
+from helpers.report_set import estimate_noisy, estimate_zero, make_set
 from objectflow.view.report import write_report
 
+HOSTILE = "</script><img src=x onerror=window.ran=1><script>window.ran=1</script>'\"><svg onload=window.ran=1>"
 PIXELS = """(() => {
   const scene = document.getElementById('scene');
   const copy = Object.assign(document.createElement('canvas'), {width: 80, height: 60});
@@ -84,3 +86,22 @@ def test_a_click_shows_a_pair_in_3d_and_switching_changes_the_picture(page: Page
 def test_nothing_complained_and_nothing_was_fetched(page: Page) -> None:
     assert page.errors == []
     assert [one for one in page.requests if not one.startswith(("file:", "data:"))] == []
+
+
+def test_hostile_names_run_nothing(tmp_path: Path) -> None:
+    program = find_chromium()
+    if program is None:
+        pytest.skip("no Chromium or Chrome is installed: the report is not opened")
+    methods = {HOSTILE: estimate_zero, "noisy": estimate_noisy}
+    found = make_set(2, name=HOSTILE, methods=methods, failure=HOSTILE, fail=(HOSTILE, f"{HOSTILE}-0001"))
+    write_report(tmp_path / "report.html", *found)
+    with chromium(program, tmp_path / "profile") as page:
+        page.size(1280, 900)
+        page.open(tmp_path / "report.html")
+        page.run("document.getElementById('gallery').scrollIntoView()")
+        page.wait("document.querySelectorAll('.card-head button').length == 2")
+        page.click(".card-head button")
+        page.wait("document.getElementById('pair').open")
+        assert HOSTILE in page.run("document.getElementById('pair-title').textContent")
+        assert page.run("window.ran === undefined")
+        assert page.errors == []

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
+from objectflow.geometry.camera import MAX_PIXELS
 from objectflow.storage.foreign import foreign_errors
 
-MAX_PIXELS = 64_000_000
-"""Largest image that is decoded, in pixels."""
 PNG_START = b"\x89PNG\r\n\x1a\n"
 _HEADERS = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
 """Formats whose header is read, by their names in Pillow."""
