@@ -48,7 +48,7 @@ class CompensationConfig(Settings):
     background's motion exceeds the noise."""
     seed: int = setting(0, minimum=0)
     """Seed of the random minimal sets of the camera's motion."""
-    depth_noise: DepthNoiseName = "structured-light"
+    depth_noise: DepthNoiseName = "measured"
     """Noise model of the depth camera; measured: fitted to each pair."""
     scale_error: float = setting(SCALE_ERROR, minimum=0)
     """Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by
