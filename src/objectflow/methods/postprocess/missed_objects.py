@@ -43,7 +43,6 @@ def recover_missed_objects(
         return labels, objects
     others = [(obj.prev_T_curr, labels == obj.id) for obj in objects if obj.moving]
     consensus = ConsensusEstimator(
-        camera="static",
         rounds=search.rounds,
         min_object_share=search.min_object_share,
         likelihood=settings.likelihood,
