@@ -73,7 +73,7 @@ class Assignment:
         self._walker = RandomWalker(self.graph)
         self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self._others: Sequence[MovingMask] = ()
-        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True)
+        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True, light=True)
         self.rival_cost = self.background_cost
         self.informative = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         depth = pair.curr.frame.depth
@@ -96,11 +96,20 @@ class Assignment:
             self._costs[key] = box, cost
         return self._costs[key][1]
 
-    def _motion_cost(self, prev_T_curr: Float64Array, box: Box, *, color: bool) -> tuple[Float32Array, BoolMask]:
+    def _motion_cost(
+        self, prev_T_curr: Float64Array, box: Box, *, color: bool, light: bool = False
+    ) -> tuple[Float32Array, BoolMask]:
         prev, curr = self.pair.prev, self.pair.curr
         appearance = (prev.appearance, curr.appearance) if color else None
         return motion_cost(
-            prev.frame, self.points, prev_T_curr, appearance, box, noise=self.pair.noise, settings=self._likelihood
+            prev.frame,
+            self.points,
+            prev_T_curr,
+            appearance,
+            box,
+            light=light,
+            noise=self.pair.noise,
+            settings=self._likelihood,
         )
 
     def vanished_cost(self) -> tuple[Float32Array, BoolMask]:

@@ -38,7 +38,7 @@ def set_confidence(
         mask = likelihood.mask(small, obj.id) if obj.moving else np.zeros(0, bool)
         if mask.any():
             cost = likelihood.cost(obj.prev_T_curr, mask)
-            gain = likelihood.cost(np.eye(4), mask) - cost
+            gain = likelihood.cost_at_rest(mask) - cost
             obj = dataclasses.replace(obj, score=motion_confidence(cost, gain))  # noqa: PLW2901
         out.append(obj)
     return labels, tuple(out)

@@ -84,7 +84,7 @@ def find_evidence(
     mask = likelihood.mask(small, obj.id)
     if not mask.any():
         return None
-    static: Float32Array = likelihood.cost(np.eye(4), mask)
+    static: Float32Array = likelihood.cost_at_rest(mask)
     return MotionEvidence(
         gain=float((static - likelihood.cost(obj.prev_T_curr, mask)).mean()),
         static_inliers=float((static < settings.static_test.inlier_cost).mean()),
