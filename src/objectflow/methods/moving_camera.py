@@ -28,7 +28,7 @@ from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
-from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
+from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
 from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
@@ -260,7 +260,8 @@ def compose(
         dataclasses.replace(
             obj,
             prev_T_curr=prev_T_curr @ obj.prev_T_curr,
-            moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr, scale_error, tolerance),
+            moving=obj.moving
+            and _exceeds_camera_error(obj, points[static.labels == obj.id], prev_T_curr, scale_error, tolerance),
         )
         for obj in static.objects
     )
@@ -269,7 +270,12 @@ def compose(
     )
 
 
-def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array, scale_error: float, tolerance: float) -> bool:
-    """Whether an object's own motion exceeds the error of the camera's."""
+def _exceeds_camera_error(
+    obj: ObjectMotion, points: Float32Array, prev_T_curr: Float64Array, scale_error: float, tolerance: float
+) -> bool:
+    """Whether an object's own motion exceeds the error of the camera's, at its centre or at the end of its points."""
     passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
-    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, max(tolerance, scale_error * passed)))
+    radii = np.linalg.norm(points[np.isfinite(points[:, 2])] - obj.center, axis=1)
+    lever_arm = max(LEVER_ARM, float(np.quantile(radii, 0.9)) if len(radii) else 0.0)
+    tolerance = max(tolerance, scale_error * passed)
+    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance, lever_arm=lever_arm))

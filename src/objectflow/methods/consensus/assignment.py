@@ -140,7 +140,13 @@ class Assignment:
         return self.around(self.points[mask & self.valid])
 
     def assign(
-        self, motions: list[Float64Array], anchors: list[Float32Array], masks: list[BoolMask], *, fine: bool
+        self,
+        motions: list[Float64Array],
+        anchors: list[Float32Array],
+        masks: list[BoolMask],
+        *,
+        fine: bool,
+        priors: list[Float32Array] | None = None,
     ) -> LabelImage:
         """Label pixels by cost, nearness to known points, and the random walk along surfaces.
 
@@ -149,15 +155,17 @@ class Assignment:
             anchors: (N, 3) points that follow each.
             masks: (H, W) of each, as far as known; empty in the first round.
             fine: whether single pixels are labelled, or blocks of 2x2.
+            priors: (H, W) of each: cost added to its motion's.
 
         Returns:
             (H, W) int32: 0 = background, k = the k-th motion.
         """
         self.rival_cost = self._background_cost_given(motions, masks)
         costs = [self.rival_cost]
-        for motion, points in zip(motions, anchors, strict=True):
+        for number, (motion, points) in enumerate(zip(motions, anchors, strict=True)):
             near = nearness_cost(self.points, points, self.reach)
-            costs.append(self.cost(motion, self.around(points)) + near + self.settings.object_prior)
+            prior = self.settings.object_prior if priors is None else priors[number]
+            costs.append(self.cost(motion, self.around(points)) + near + prior)
         probability = self._walker.solve(np.stack(costs), fine=fine)
         return np.asarray(probability.argmax(0), dtype=np.int32)
 
