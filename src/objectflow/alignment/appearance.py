@@ -48,6 +48,6 @@ class AppearanceFeatures:
         red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
         total = red + green + blue + 3 * _DARK
         log = np.log(total)
-        texture = log - cv2.GaussianBlur(log, (0, 0), 4)
+        texture = log - cv2.GaussianBlur(log, (0, 0), 2)
         chroma = (red - green) / total, (red + green - 2 * blue) / total
         return np.asarray(texture), *(np.ascontiguousarray(one) for one in chroma)

@@ -127,6 +127,10 @@ class SplitSettings(Settings):
     """Fewest pixels of a part, at the width of the likelihood."""
     min_share: float = setting(0.1, minimum=0, maximum=1)
     """Share of the mask: smaller parts stay with the rest."""
+    min_core_share: float = setting(0.15, minimum=0, maximum=1)
+    """Share of a mask that cannot have stood still, from which these pixels alone may give the object's motion."""
+    max_core_cost: float = setting(0.7, minimum=0)
+    """Largest mean cost of those pixels under that motion."""
     depth_slope: float = setting(0.012, minimum=0)
     """Depth difference between neighbouring pixels of one surface, relative to depth."""
     depth_sigmas: float = setting(3.0, minimum=0)

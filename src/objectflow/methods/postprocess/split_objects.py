@@ -42,6 +42,7 @@ def split_objects(
     likelihood = PairLikelihood(pair, settings.likelihood)
     small = likelihood.downscale(labels)
     surfaces = _surfaces(likelihood, settings.split)
+    objects = tuple(_with_core_motion(pair, likelihood, small, obj, settings) for obj in objects)
     out, new = list(objects), small.copy()
     for obj in objects:
         parts = _parts(likelihood.mask(small, obj.id), surfaces, settings.split)
@@ -64,6 +65,26 @@ def split_objects(
     # Only pixels of divided masks change; the others keep the borders of the full image.
     divided = full > max(obj.id for obj in objects)
     return relabel_present(np.where(divided & (labels > 0), full, labels).astype(np.int32), tuple(out))
+
+
+def _with_core_motion(
+    pair: FramePair, likelihood: PairLikelihood, labels: LabelImage, obj: ObjectMotion, settings: PostprocessSettings
+) -> ObjectMotion:
+    """The object with the motion of the pixels that cannot have stood still, where its own explains them badly.
+
+    A mask may hold more than what moved: depth that a temporal filter left where the object was, or its shadow.
+    """
+    own, mask = settings.split, likelihood.mask(labels, obj.id)
+    static, _ = likelihood.static_cost()
+    core = mask & (static >= settings.likelihood.free_space_violation)
+    if core.sum() < max(own.min_pixels, own.min_core_share * mask.sum()):
+        return obj
+    if _cost(likelihood, obj.prev_T_curr, core) < own.max_cost:
+        return obj
+    motion, cost = _best_motion(pair, likelihood, obj.prev_T_curr, core, settings)
+    if cost > own.max_core_cost:
+        return obj
+    return _with_motion(obj, motion, likelihood, mask, settings)
 
 
 def _surfaces(likelihood: PairLikelihood, settings: SplitSettings) -> BoolMask:
