@@ -26,6 +26,7 @@ class PairLikelihood:
         self.pair, self._settings = pair.at_width(settings.width), settings
         self.points = self.pair.curr.points
         self._static: tuple[Float32Array, BoolMask] | None = None
+        self._static_depth: tuple[Float32Array, BoolMask] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -54,6 +55,15 @@ class PairLikelihood:
         if self._static is None:
             self._static = self._motion_cost(np.eye(4), EVERYWHERE, None, light=True)
         return self._static
+
+    def static_depth_cost(self) -> tuple[Float32Array, BoolMask]:
+        """`static_cost` of depth alone."""
+        if self._static_depth is None:
+            pair = self.pair
+            self._static_depth = motion_cost(
+                pair.prev.frame, self.points, np.eye(4), None, noise=pair.noise, settings=self._settings
+            )
+        return self._static_depth
 
     def cost_at_rest(self, mask: BoolMask) -> Float32Array:
         """(N,) cost of the pixels of a mask, row by row, if they stood still under any light."""

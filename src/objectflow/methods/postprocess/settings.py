@@ -32,6 +32,20 @@ class StaticTestSettings(Settings):
     """Probability of an object from which the network decides where the frames give no evidence."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
+    uncovered_cost: float = setting(0.6, minimum=0)
+    """Cost of standing still for background without texture that another mover uncovered."""
+    full_texture: float = setting(15.0, above=0)
+    """Grey levels: mean local contrast from which a surface counts as textured."""
+    shadow_depth_ratio: float = setting(0.85, minimum=0, maximum=1)
+    """Share of an object whose depth did not change, from which it may be the shadow of a mover beside it."""
+    shadow_area_ratio: float = setting(0.7, minimum=0)
+    """Largest size of such a shadow relative to the mover."""
+    shadow_reach_px: int = setting(5, minimum=0)
+    """Pixels, at the width of the likelihood, between a mover and its shadow."""
+    min_visible: float = setting(1 / 3, minimum=0, maximum=1)
+    """Share of an object that the previous frame must show under its motion; other motions are guesses."""
+    unseen_score: float = setting(0.3, minimum=0, maximum=1)
+    """Highest score of an object of which the previous frame shows less."""
 
 
 @dataclass(frozen=True)
@@ -253,7 +267,7 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "motion_search", "merge",
-        "reassign", "drop_uncertain", "missed_objects", "confidence",
+        "reassign", "missed_objects", "static_test", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
