@@ -49,5 +49,5 @@ class AppearanceFeatures:
         total = red + green + blue + 3 * _DARK
         log = np.log(total)
         texture = log - cv2.GaussianBlur(log, (0, 0), 2)
-        chroma = (red - green) / total, (red + green - 2 * blue) / total
-        return np.asarray(texture), *(np.ascontiguousarray(one) for one in chroma)
+        first, second = (red - green) / total, (red + green - 2 * blue) / total
+        return np.asarray(texture, dtype=np.float32), first.astype(np.float32), second.astype(np.float32)

@@ -85,7 +85,7 @@ def fit_light_change(
     prev, curr = _compared_colors(pair.at_width(settings.width), prev_T_curr, settings)
     found = [_fit_channel(prev[:, k], curr[:, k], settings) for k in range(3)]
     gains, gammas = zip(*found, strict=True)
-    change = LightChange(gains, gammas)  # type: ignore[arg-type]  # three of each
+    change = LightChange(gains, gammas)
     if len(prev) < settings.min_pixels:
         return None
     if max(gammas) >= settings.max_gamma or min(gammas) <= 1 / settings.max_gamma:

@@ -101,7 +101,8 @@ def _growth_cost(assignment: Assignment, settings: PostprocessSettings) -> Float
 
 def _touching(found: BoolMask, mask: BoolMask) -> BoolMask:
     """The connected parts of a region that overlap a mask."""
-    grown = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) | (found & mask)
+    opened = cv2.morphologyEx(found.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    grown = opened | (found & mask)
     numbers, _ = ndimage.label(grown)
     kept = np.unique(numbers[mask & (numbers > 0)])
     return np.asarray(np.isin(numbers, kept[kept > 0]))
