@@ -267,7 +267,7 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "motion_search", "merge",
-        "reassign", "missed_objects", "static_test", "drop_uncertain", "confidence",
+        "reassign", "drop_uncertain", "missed_objects", "static_test", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
