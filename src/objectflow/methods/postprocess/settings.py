@@ -32,7 +32,7 @@ class StaticTestSettings(Settings):
     """Probability of an object from which the network decides where the frames give no evidence."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
-    uncovered_cost: float = setting(0.6, minimum=0)
+    uncovered_cost: float = setting(1.5, minimum=0)
     """Cost of standing still for background without texture that another mover uncovered."""
     full_texture: float = setting(15.0, above=0)
     """Grey levels: mean local contrast from which a surface counts as textured."""
