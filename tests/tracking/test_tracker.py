@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import json
 import tracemalloc
@@ -236,3 +237,49 @@ def test_bad_input() -> None:
     small = SceneMotion(np.zeros((10, 10), np.int32), np.zeros((10, 10, 3), np.float32))
     with pytest.raises(FrameError, match="do not fit"):
         tracker.update(1, frame, 2, small)
+
+
+def test_a_neighbour_of_another_colour_does_not_take_over_the_id_of_an_object_that_left() -> None:
+    """The red plate leaves; the blue one slides to where the red one was."""
+
+    def painted(centers: dict[int, tuple[float, float]], before: dict[int, tuple[float, float]]) -> RgbdFrame:
+        frame, motion, ids = plates(centers, before)
+        color = frame.color.copy()
+        for number, rgb in ((1, (200, 30, 30)), (2, (30, 30, 200))):
+            if number in ids:
+                color[motion.labels == ids[number]] = rgb
+        results.append((motion, ids))
+        return RgbdFrame(color, frame.depth, CAMERA)
+
+    results: list[tuple[SceneMotion, dict[int, int]]] = []
+    tracker = Tracker()
+    first = painted({1: (0.0, 0.0)}, {1: (-0.05, 0.0)})
+    red = tracker.update(0, first, 1, results[0][0])[results[0][1][1]]
+    second = painted({2: (0.05, 0.0)}, {2: (0.0, 0.0)})
+    blue = tracker.update(1, second, 2, results[1][0])[results[1][1][2]]
+    assert red != blue
+    # Without the test of colours the id is taken over.
+    naive = Tracker(TrackerSettings(min_color_similarity=0.0))
+    assert list(naive.update(0, first, 1, results[0][0]).values()) == [1]
+    assert list(naive.update(1, second, 2, results[1][0]).values()) == [1]
+
+
+def test_steps_of_low_score_are_marked_as_gaps() -> None:
+    tracker = Tracker()
+    for t, score in ((1, 0.9), (2, 0.1), (3, 0.9)):
+        frame, motion, _ = plates({1: (0.02 * t, 0.0)}, {1: (0.02 * (t - 1), 0.0)})
+        objects = tuple(dataclasses.replace(obj, score=score) for obj in motion.objects)
+        tracker.update(t - 1, frame, t, dataclasses.replace(motion, objects=objects))
+    (track,) = tracker.tracks
+    assert track.gaps == [2]
+    assert track.times == [0, 1, 2, 3]  # the pose at 2 is that before the last step
+    assert track.labels == [0, 1, 0, 1]
+
+
+def test_tracks_start_anew_where_the_camera_is_unknown() -> None:
+    tracker = Tracker()
+    frame, motion, _ = plates({1: (0.02, 0.0)}, {1: (0.0, 0.0)})
+    assert list(tracker.update(0, frame, 1, motion).values()) == [1]
+    nothing = SceneMotion(np.zeros((120, 160), np.int32), motion.scene_flow * np.nan, camera_known=False)
+    assert tracker.update(1, frame, 2, nothing) == {}
+    assert list(tracker.update(2, frame, 3, motion).values()) == [2]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import cv2
 import numpy as np
 
-from objectflow.typing import UInt8Array
+from objectflow.typing import Float32Array, UInt8Array
+
+_DARK = 8.0
+"""Grey levels added to colours before ratios and logarithms are taken, which limits the noise of dark pixels."""
 
 
 def to_gray(color: UInt8Array) -> UInt8Array:
@@ -24,9 +29,25 @@ class AppearanceFeatures:
     """
 
     def __init__(self, color: UInt8Array) -> None:
+        self._color = color
         lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
         light = np.ascontiguousarray(lab[..., 0])
         texture = light - cv2.GaussianBlur(light, (0, 0), 4)
         self.channels = (texture, light, *(np.ascontiguousarray(lab[..., k]) for k in (1, 2)))
         size = np.ones((3, 3))
         self.contrast = tuple(cv2.dilate(channel, size) - cv2.erode(channel, size) for channel in self.channels)
+
+    @cached_property
+    def light_free(self) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """Three channels that do not depend on the amount of light.
+
+        Texture is the logarithm of lightness minus its local mean; the two chromaticities are ratios of colour
+        differences to the sum of the colours.
+        """
+        rgb = cv2.GaussianBlur(self._color, (0, 0), 0.8).astype(np.float32)
+        red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
+        total = red + green + blue + 3 * _DARK
+        log = np.log(total)
+        texture = log - cv2.GaussianBlur(log, (0, 0), 2)
+        first, second = (red - green) / total, (red + green - 2 * blue) / total
+        return np.asarray(texture, dtype=np.float32), first.astype(np.float32), second.astype(np.float32)

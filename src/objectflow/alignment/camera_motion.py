@@ -27,7 +27,11 @@ class CameraMotionSettings(Settings):
     width: int = setting(640, minimum=16)
     """Pixels: width at which the frames are matched."""
     trials: int = setting(250, minimum=1)
-    """Minimal sets of three matches."""
+    """Minimal sets of three matches that are drawn at a time."""
+    max_trials: int = setting(4000, minimum=1)
+    """Maximum number of minimal sets; as many are drawn as the share of inliers calls for."""
+    miss_probability: float = setting(0.001, above=0, below=1)
+    """Probability of having drawn no minimal set of inliers only, below which no more are drawn."""
     judges: int = setting(500, minimum=12)
     """Maximum number of matches on which a minimal set is scored."""
     min_inliers: int = setting(12, minimum=3)
@@ -107,14 +111,23 @@ def dominant_motion(
         return None
     sigma = noise.match_sigma(matches.curr[:, 2], camera)
     judges = rng.permutation(count)[: settings.judges]
-    triplets = rng.integers(0, count, (settings.trials, 3))
-    motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
+    limit, least, drawn = settings.inlier_sigmas**2, np.inf, 0
     # No motion is always a candidate: with a camera over a table it is usually the right one.
-    motions = np.concatenate([np.eye(4)[None], motions[determined]])
-    squared = fitting.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
-    # MSAC weighs an inlier by how well it fits (Torr and Zisserman 2000).
-    best = int(np.minimum(squared, settings.inlier_sigmas**2).sum(1).argmin())
-    prev_T_curr = motions[best]
+    prev_T_curr, candidates = np.eye(4), [np.eye(4)[None]]
+    while True:
+        triplets = rng.integers(0, count, (settings.trials, 3))
+        motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
+        motions = np.concatenate([*candidates, motions[determined]])
+        squared = fitting.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
+        # MSAC weighs an inlier by how well it fits (Torr and Zisserman 2000).
+        cost = np.minimum(squared, limit).sum(1)
+        best = int(cost.argmin())
+        if cost[best] < least:
+            least, prev_T_curr, ratio = float(cost[best]), motions[best], float((squared[best] < limit).mean())
+        drawn, candidates = drawn + settings.trials, []
+        # A set of three is all inliers with probability ratio^3 (Fischler and Bolles 1981).
+        if drawn >= settings.max_trials or (1 - ratio**3) ** drawn < settings.miss_probability:
+            break
     for _ in range(3):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         inliers = error < settings.inlier_sigmas * sigma

@@ -52,6 +52,16 @@ class LikelihoodSettings(Settings):
     contrast_tolerance: float = setting(0.35, minimum=0)
     """Share of the local contrast that is added to each of these tolerances; it allows for half a pixel at edges."""
 
+    light_cost: float = setting(0.6, minimum=0)
+    """Cost of a change of light, such as a shadow: what the colours of a surface that stood still cost at least, where
+    only the amount of light may have changed."""
+    light_sigmas: float = setting(2.0, minimum=0)
+    """Standard deviations of depth up to which a surface may have stood still under another light."""
+    light_texture: float = setting(0.1, above=0)
+    """Difference of the logarithm of lightness, minus its local mean, that costs 0.5 under another light."""
+    light_chroma: float = setting(0.03, above=0)
+    """Difference of chromaticity that costs 0.5 under another light."""
+
 
 DEFAULTS = LikelihoodSettings()
 
@@ -64,6 +74,7 @@ def motion_cost(
     box: Box = EVERYWHERE,
     *,
     out_of_view: float | None = None,
+    light: bool = False,
     noise: DepthNoise = STRUCTURED_LIGHT,
     settings: LikelihoodSettings = DEFAULTS,
 ) -> tuple[Float32Array, BoolMask]:
@@ -76,6 +87,7 @@ def motion_cost(
         appearance: of the previous and the current frame; None leaves colour out.
         box: rows and columns of the current frame to evaluate.
         out_of_view: cost of points that the previous frame does not show, in place of `hidden` and `unseen`.
+        light: whether the amount of light may differ where depth agrees, as it does on the background.
         noise: of the depth.
         settings: the costs.
 
@@ -108,7 +120,12 @@ def motion_cost(
     scaled = np.where(known, offset, 0) / sigma
     cost = 0.5 * np.minimum(scaled**2, settings.outlier_sigmas**2)
     if appearance is not None:
-        cost = cost + _color_cost(*appearance, u.astype(np.float32), v.astype(np.float32), box, settings)
+        at = u.astype(np.float32), v.astype(np.float32)
+        color = _color_cost(*appearance, *at, box, settings)
+        if light:
+            relit = _relit_cost(*appearance, *at, box, settings)
+            color = np.where(np.abs(scaled) < settings.light_sigmas, np.minimum(color, relit), color)
+        cost = cost + color
     # At `hidden_sigmas` behind the surface, being hidden becomes more probable than a measurement error. Far behind is
     # more probable than just behind, which takes a thin object or a wrong motion.
     hidden = known & (scaled > settings.hidden_sigmas)
@@ -150,3 +167,20 @@ def _color_cost(
         own, contrast = curr.channels[channel][box], curr.contrast[channel][box]
         cost += ((warped - own) / (tolerance + settings.contrast_tolerance * contrast)) ** 2
     return np.asarray(np.minimum(0.5 * cost, settings.max_color), dtype=np.float32)
+
+
+def _relit_cost(
+    prev: AppearanceFeatures,
+    curr: AppearanceFeatures,
+    u: Float32Array,
+    v: Float32Array,
+    box: Box,
+    settings: LikelihoodSettings,
+) -> Float32Array:
+    """Colour at (u, v) in `prev` compared with the box of `curr`, whatever the amount of light."""
+    tolerances = (settings.light_texture, settings.light_chroma, settings.light_chroma)
+    cost = np.zeros(u.shape, np.float32)
+    for before, after, tolerance in zip(prev.light_free, curr.light_free, tolerances, strict=True):
+        warped = cv2.remap(before, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        cost += ((warped - after[box]) / tolerance) ** 2
+    return np.asarray(np.minimum(settings.light_cost + 0.5 * cost, settings.max_color), dtype=np.float32)

@@ -71,6 +71,8 @@ def measure_depth_noise(
         sigmas.append(float(max(median / 0.6745, tail / 1.645) / np.sqrt(2)))
     if not depths:
         return floor
+    # The noise of a depth camera grows with depth, so a bin with more noise than a farther one shows moving objects.
+    sigmas = np.minimum.accumulate(sigmas[::-1])[::-1].tolist()
     return MeasuredDepthNoise(floor.base, floor.growth, floor.near, tuple(depths), tuple(sigmas))
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from objectflow import geometry
-from objectflow.motion import ObjectMotion
+from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import Float32Array, LabelImage
 
 Objects = tuple[ObjectMotion, ...]
@@ -39,3 +39,9 @@ def with_surface_centers(labels: LabelImage, objects: Objects, points: Float32Ar
 def rigid_flow(objects: Objects, labels: LabelImage, points: Float32Array) -> Float32Array:
     """(H, W, 3) metres: the flow of the objects' motions on points (H, W, 3); 0 off the objects, NaN without depth."""
     return geometry.flow_from_motions(points, labels, {obj.id: obj.prev_T_curr for obj in objects})
+
+
+def unknown_motion(shape: tuple[int, ...]) -> SceneMotion:
+    """The result (H, W) where the camera's motion is unknown: no objects, and no flow anywhere."""
+    flow = np.full((*shape, 3), np.nan, np.float32)
+    return SceneMotion(np.zeros(shape, np.int32), flow, camera_known=False)

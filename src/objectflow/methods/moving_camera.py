@@ -20,17 +20,17 @@ from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment import warping
+from objectflow.alignment.camera_estimate import CameraCheckSettings, CameraEstimate, estimate_camera
 from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
-from objectflow.alignment.measured_noise import measure_depth_noise
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
-from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
+from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
 from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
-from objectflow.methods.labels import with_surface_centers
+from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
@@ -48,20 +48,23 @@ class CompensationConfig(Settings):
     background's motion exceeds the noise."""
     seed: int = setting(0, minimum=0)
     """Seed of the random minimal sets of the camera's motion."""
-    depth_noise: DepthNoiseName = "structured-light"
+    depth_noise: DepthNoiseName = "measured"
     """Noise model of the depth camera; measured: fitted to each pair."""
     scale_error: float = setting(SCALE_ERROR, minimum=0)
     """Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by
     a few percent, and so is the estimated motion of the camera."""
+    error_factor: float = setting(2.0, minimum=0)
+    """Factor on the median distance of matches from the camera's motion; objects that move by less are static."""
     matching: MatchSettings = MatchSettings()
     camera_motion: CameraMotionSettings = CameraMotionSettings()
+    camera_check: CameraCheckSettings = CameraCheckSettings()
 
 
 class _Compensated(NamedTuple):
-    """A pair before a static camera, None where no point of the previous frame is in view; and the camera's motion."""
+    """A pair before a static camera, None where nothing can be estimated; and what is known of the camera."""
 
     pair: FramePair | None
-    prev_T_curr: Float64Array | None
+    camera: CameraEstimate
 
 
 @dataclass(frozen=True)
@@ -87,11 +90,19 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         ready = [self._compensate(pair) for pair in pairs]
         static = iter(self.estimate_static([one.pair for one in ready if one.pair is not None]))
         motions = []
-        for pair, one in zip(pairs, ready, strict=True):
-            motion = _camera_alone(pair, one.prev_T_curr) if one.pair is None else next(static)
-            if one.pair is not None and one.prev_T_curr is not None:
-                motion = compose(motion, pair.curr.points, one.prev_T_curr, scale_error=self.scale_error)
-            motions.append(motion)
+        for pair, (seen, camera) in zip(pairs, ready, strict=True):
+            if camera.state == "unknown":
+                motion = unknown_motion(pair.curr.frame.depth.shape)
+            elif seen is None:
+                motion = _camera_alone(pair, camera.prev_T_curr)
+            elif camera.prev_T_curr is None:
+                motion = next(static)
+            else:
+                tolerance = max(STATIC_DISPLACEMENT, self.error_factor * camera.error)
+                motion = compose(
+                    next(static), pair.curr.points, camera.prev_T_curr, self.scale_error, tolerance=tolerance
+                )
+            motions.append(dataclasses.replace(motion, notes=camera.notes))
         seconds = (time.perf_counter() - start) / max(1, len(pairs))
         return [
             dataclasses.replace(
@@ -104,17 +115,24 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         ]
 
     def _compensate(self, pair: FramePair) -> _Compensated:
-        """The pair as a static camera would have seen it, with the noise of its depth."""
-        pair = pair.with_matching(self.matching).with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT))
-        prev_T_curr = find_camera_motion(pair, camera=self.camera, seed=self.seed, settings=self.camera_motion)
-        if self.depth_noise == "measured":
-            pair = pair.with_noise(measure_depth_noise(pair, prev_T_curr))
-        if prev_T_curr is None:
-            return _Compensated(pair, None)
-        seen = as_seen_from(pair.prev.frame, prev_T_curr, pair.curr.frame.camera, pair.noise)
-        return _Compensated(
-            None if seen is None else FramePair(seen, pair.curr, noise=pair.noise, matching=pair.matching), prev_T_curr
+        """The pair as a static camera would have seen it, in one light and with the noise of its depth."""
+        camera = estimate_camera(
+            pair.with_matching(self.matching),
+            camera=self.camera,
+            depth_noise=self.depth_noise,
+            seed=self.seed,
+            motion=self.camera_motion,
+            settings=self.camera_check,
         )
+        if camera.state == "unknown":
+            return _Compensated(None, camera)
+        pair = camera.pair
+        if camera.prev_T_curr is None:
+            return _Compensated(pair, camera)
+        seen = as_seen_from(pair.prev.frame, camera.prev_T_curr, pair.curr.frame.camera, pair.noise)
+        if seen is None:
+            return _Compensated(None, camera)
+        return _Compensated(FramePair(seen, pair.curr, noise=pair.noise, matching=pair.matching), camera)
 
 
 @dataclass(frozen=True)
@@ -216,7 +234,12 @@ def _close_cracks(depth: Float32Array) -> Float32Array:
 
 
 def compose(
-    static: SceneMotion, points: Float32Array, prev_T_curr: Float64Array, *, scale_error: float = SCALE_ERROR
+    static: SceneMotion,
+    points: Float32Array,
+    prev_T_curr: Float64Array,
+    scale_error: float = SCALE_ERROR,
+    *,
+    tolerance: float = STATIC_DISPLACEMENT,
 ) -> SceneMotion:
     """Compose motions before a static camera with the motion of the camera.
 
@@ -227,6 +250,7 @@ def compose(
         points: (H, W, 3) metres of the current frame.
         prev_T_curr: the camera's motion.
         scale_error: see `CompensationConfig`.
+        tolerance: metres: objects that move by less are static.
 
     Returns:
         Motions from the current frame to the previous camera; the background moves with the camera.
@@ -236,7 +260,8 @@ def compose(
         dataclasses.replace(
             obj,
             prev_T_curr=prev_T_curr @ obj.prev_T_curr,
-            moving=obj.moving and _exceeds_camera_error(obj, prev_T_curr, scale_error),
+            moving=obj.moving
+            and _exceeds_camera_error(obj, points[static.labels == obj.id], prev_T_curr, scale_error, tolerance),
         )
         for obj in static.objects
     )
@@ -245,8 +270,12 @@ def compose(
     )
 
 
-def _exceeds_camera_error(obj: ObjectMotion, prev_T_curr: Float64Array, scale_error: float) -> bool:
-    """Whether an object's own motion exceeds the error of the camera's."""
+def _exceeds_camera_error(
+    obj: ObjectMotion, points: Float32Array, prev_T_curr: Float64Array, scale_error: float, tolerance: float
+) -> bool:
+    """Whether an object's own motion exceeds the error of the camera's, at its centre or at the end of its points."""
     passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
-    tolerance = max(STATIC_DISPLACEMENT, scale_error * passed)
-    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance))
+    radii = np.linalg.norm(points[np.isfinite(points[:, 2])] - obj.center, axis=1)
+    lever_arm = max(LEVER_ARM, float(np.quantile(radii, 0.9)) if len(radii) else 0.0)
+    tolerance = max(tolerance, scale_error * passed)
+    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance, lever_arm=lever_arm))

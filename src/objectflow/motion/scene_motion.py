@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -45,6 +45,8 @@ class SceneMotion:
         frames: where the frames were read from: `paths`, `intrinsics` (fx, fy, cx, cy) and `depth_scale`; empty if
             they were not read from files.
         changes: what each step of the method changed, a line per step, where it was asked to record that.
+        camera_known: whether the camera's motion could be found; without it there are no objects and no flow.
+        notes: what a user should know about the estimate, a line each.
 
     Raises:
         ResultError: the arrays do not match each other, or a label has no object.
@@ -59,6 +61,8 @@ class SceneMotion:
     settings: Mapping[str, Any] = field(default_factory=dict)
     frames: Mapping[str, Any] = field(default_factory=dict)
     changes: tuple[str, ...] = ()
+    camera_known: bool = True
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.labels.ndim != 2 or self.labels.dtype != np.int32:
@@ -113,6 +117,13 @@ class SceneMotion:
     def moving(self) -> tuple[ObjectMotion, ...]:
         """The objects that move."""
         return tuple(obj for obj in self.objects if obj.moving)
+
+    @property
+    def camera(self) -> Literal["static", "moving", "unknown"]:
+        """What is known of the camera."""
+        if not self.camera_known:
+            return "unknown"
+        return "static" if self.camera_motion is None else "moving"
 
     @property
     def curr_T_prev(self) -> Float64Array:
@@ -188,15 +199,16 @@ class SceneMotion:
             and np.array_equal(self.labels, other.labels)
             and np.array_equal(self.scene_flow, other.scene_flow, equal_nan=True)
             and np.array_equal(mine, theirs)
+            and self.camera_known == other.camera_known
         )
 
     __hash__ = None  # type: ignore[assignment]  # equal by its arrays, which can change
 
     def __repr__(self) -> str:
         height, width = self.labels.shape
-        camera = "static camera" if self.camera_motion is None else "moving camera"
         return (
-            f"SceneMotion({width}x{height}, {len(self)} objects, {len(self.moving)} moving, {camera}, {self.method!r})"
+            f"SceneMotion({width}x{height}, {len(self)} objects, {len(self.moving)} moving, "
+            f"{self.camera} camera, {self.method!r})"
         )
 
     def _repr_html_(self) -> str:
@@ -265,7 +277,9 @@ class SceneMotion:
             "format_version": FORMAT_VERSION,
             "units": UNITS,
             "objects": [obj.to_dict() for obj in self.objects],
+            "camera": self.camera,
             "camera_motion": None if self.camera_motion is None else self.camera_motion.tolist(),
+            "notes": list(self.notes),
             "method": self.method,
             "seconds": self.seconds,
             "settings": dict(self.settings),
@@ -294,4 +308,6 @@ class SceneMotion:
                 seconds=summary["seconds"],
                 settings=dict(summary.get("settings", {})),
                 frames=dict(summary.get("frames", {})),
+                camera_known=summary.get("camera") != "unknown",
+                notes=tuple(map(str, summary.get("notes", ()))),
             )

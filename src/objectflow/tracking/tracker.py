@@ -7,7 +7,9 @@ is carried back by its motion and associated with the track whose last surface o
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -18,6 +20,9 @@ from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float64Array
+
+_BINS = (4, 16, 16)
+"""Histogram bins of lightness, which light changes, and of the two colour-opponent channels of CIELAB."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,9 @@ class TrackerSettings(Settings):
     """Metres: largest difference of two surfaces' median depths."""
     min_score: float = setting(0.3, minimum=0, maximum=1)
     """Objects with a lower score, such as regions that no motion explains, get no track."""
+    min_color_similarity: float = setting(0.35, minimum=0, maximum=1)
+    """Minimum Bhattacharyya coefficient of two surfaces' colours: a neighbour does not take over the id of an object
+    that left."""
     coast: int = setting(3, minimum=0)
     """Number of pairs for which a lost track is also searched at the position its last motion predicts."""
     max_age: int = setting(300, minimum=0)
@@ -52,6 +60,7 @@ class Track:
         world_T_object: (4, 4) at each time. The object frame starts at the object's centre, aligned with the world.
         labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame.
         scores: of each pose.
+        gaps: times at which the object was seen to move, but with a score too low for a pose.
     """
 
     id: int
@@ -59,13 +68,22 @@ class Track:
     world_T_object: list[Float64Array] = field(default_factory=list)
     labels: list[int] = field(default_factory=list)
     scores: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+
+
+class _Surface(NamedTuple):
+    """Visible surface of an object: (N, 3) metres in the current camera frame, and its colours' histogram."""
+
+    points: Float64Array
+    colors: Float64Array
 
 
 @dataclass(eq=False)
 class _LastState:
-    """Last observation of a track: surface points in the world frame, last motion, and its age in pairs."""
+    """Last observation of a track: surface points in the world frame, colours, last motion, and its age in pairs."""
 
     points: Float64Array
+    colors: Float64Array
     world_step: Float64Array
     age: int = 0
 
@@ -110,6 +128,10 @@ class Tracker:
             )
         if motion.labels.shape != curr.depth.shape:
             raise FrameError(f"labels {motion.labels.shape} do not fit the frame {curr.depth.shape}")
+        if not motion.camera_known:
+            # Poses cannot be continued in a world whose camera is lost.
+            self.reset()
+            return {}
         if not self.camera_times:
             self.camera_times.append(prev_time)
             self.world_T_camera.append(np.eye(4))
@@ -119,12 +141,16 @@ class Tracker:
         self.camera_times.append(time)
         self.world_T_camera.append(world_T_curr)
 
-        objects = [o for o in motion.objects if o.moving and o.score >= self.settings.min_score]
+        objects = [o for o in motion.objects if o.moving]
         surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
-        known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s)]
+        known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
+            if obj.score < self.settings.min_score:
+                if number is not None:
+                    self._tracks[number].gaps.append(time)
+                continue
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
             track = self._track(number, obj, prev_time, world_T_prev)
@@ -132,7 +158,8 @@ class Tracker:
             track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
-            self._states[track.id] = _LastState(geometry.transform(world_T_curr, surface), world_step)
+            points = geometry.transform(world_T_curr, surface.points)
+            self._states[track.id] = _LastState(points, surface.colors, world_step)
             found[obj.id] = track.id
         self._age(set(found.values()))
         self._trim()
@@ -146,12 +173,12 @@ class Tracker:
             self._tracks = {}
 
     def _link(
-        self, objects: list[ObjectMotion], surfaces: list[Float64Array], camera: Camera, world_T_prev: Float64Array
+        self, objects: list[ObjectMotion], surfaces: list[_Surface], camera: Camera, world_T_prev: Float64Array
     ) -> list[int | None]:
         """Track id of each object, None for a new object: the assignment of largest overlap (Hungarian method)."""
         ids = list(self._states)
         overlap = np.zeros((len(objects), len(ids)))
-        prev_surfaces = [geometry.transform(o.prev_T_curr, s) for o, s in zip(objects, surfaces, strict=True)]
+        prev_surfaces = [geometry.transform(o.prev_T_curr, s.points) for o, s in zip(objects, surfaces, strict=True)]
         prev_T_world = geometry.inverse(world_T_prev)
         for column, track_id in enumerate(ids):
             state = self._states[track_id]
@@ -163,11 +190,16 @@ class Tracker:
             for world_points in hypotheses:
                 expected = geometry.transform(prev_T_world, world_points)
                 for row, points in enumerate(prev_surfaces):
+                    similarity = float(np.sqrt(surfaces[row].colors * state.colors).sum())
+                    if similarity < self.settings.min_color_similarity:
+                        continue
                     if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
                         shared = footprint_overlap(points, expected, camera, self.settings.footprint_cells)
                         overlap[row, column] = max(overlap[row, column], shared)
+        # Certain motions come first: a guess does not take a track from them.
+        weight = np.array([1.0 if obj.score >= self.settings.min_score else 0.1 for obj in objects]).reshape(-1, 1)
         links: list[int | None] = [None] * len(objects)
-        for i, j in zip(*linear_sum_assignment(overlap, maximize=True), strict=True):
+        for i, j in zip(*linear_sum_assignment(weight * overlap, maximize=True), strict=True):
             if overlap[i, j] >= self.settings.min_overlap:
                 links[i] = ids[j]
         return links
@@ -233,11 +265,16 @@ def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: i
     return len(footprints[0] & footprints[1]) / union if union else 0.0
 
 
-def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> Float64Array:
-    """(N, 3) points of a mask, camera frame, subsampled evenly."""
+def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> _Surface:
+    """The surface of a mask, of which points are subsampled evenly."""
     rows, columns = np.nonzero(mask & frame.valid)
+    lab = cv2.cvtColor(frame.color[rows, columns].reshape(1, -1, 3), cv2.COLOR_RGB2LAB) if len(rows) else None
+    colors = np.zeros(_BINS[0] * _BINS[1] * _BINS[2])
+    if lab is not None:
+        counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
+        colors = counts.ravel() / max(1.0, counts.sum())
     if len(rows) > max_points:
         pick = np.linspace(0, len(rows) - 1, max_points).astype(int)
         rows, columns = rows[pick], columns[pick]
     depth = frame.depth[rows, columns].astype(np.float64)
-    return geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera)
+    return _Surface(geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera), colors)

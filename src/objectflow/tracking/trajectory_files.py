@@ -62,5 +62,6 @@ def _to_dict(track: Track) -> dict[str, Any]:
         "times": track.times,
         "labels": track.labels,
         "scores": track.scores,
+        "gaps": track.gaps,
         "world_T_object": [pose.tolist() for pose in track.world_T_object],
     }

@@ -73,7 +73,7 @@ class Assignment:
         self._walker = RandomWalker(self.graph)
         self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self._others: Sequence[MovingMask] = ()
-        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True)
+        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True, light=True)
         self.rival_cost = self.background_cost
         self.informative = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         depth = pair.curr.frame.depth
@@ -96,11 +96,20 @@ class Assignment:
             self._costs[key] = box, cost
         return self._costs[key][1]
 
-    def _motion_cost(self, prev_T_curr: Float64Array, box: Box, *, color: bool) -> tuple[Float32Array, BoolMask]:
+    def _motion_cost(
+        self, prev_T_curr: Float64Array, box: Box, *, color: bool, light: bool = False
+    ) -> tuple[Float32Array, BoolMask]:
         prev, curr = self.pair.prev, self.pair.curr
         appearance = (prev.appearance, curr.appearance) if color else None
         return motion_cost(
-            prev.frame, self.points, prev_T_curr, appearance, box, noise=self.pair.noise, settings=self._likelihood
+            prev.frame,
+            self.points,
+            prev_T_curr,
+            appearance,
+            box,
+            light=light,
+            noise=self.pair.noise,
+            settings=self._likelihood,
         )
 
     def vanished_cost(self) -> tuple[Float32Array, BoolMask]:
@@ -131,7 +140,13 @@ class Assignment:
         return self.around(self.points[mask & self.valid])
 
     def assign(
-        self, motions: list[Float64Array], anchors: list[Float32Array], masks: list[BoolMask], *, fine: bool
+        self,
+        motions: list[Float64Array],
+        anchors: list[Float32Array],
+        masks: list[BoolMask],
+        *,
+        fine: bool,
+        priors: list[Float32Array] | None = None,
     ) -> LabelImage:
         """Label pixels by cost, nearness to known points, and the random walk along surfaces.
 
@@ -140,15 +155,17 @@ class Assignment:
             anchors: (N, 3) points that follow each.
             masks: (H, W) of each, as far as known; empty in the first round.
             fine: whether single pixels are labelled, or blocks of 2x2.
+            priors: (H, W) of each: cost added to its motion's.
 
         Returns:
             (H, W) int32: 0 = background, k = the k-th motion.
         """
         self.rival_cost = self._background_cost_given(motions, masks)
         costs = [self.rival_cost]
-        for motion, points in zip(motions, anchors, strict=True):
+        for number, (motion, points) in enumerate(zip(motions, anchors, strict=True)):
             near = nearness_cost(self.points, points, self.reach)
-            costs.append(self.cost(motion, self.around(points)) + near + self.settings.object_prior)
+            prior = self.settings.object_prior if priors is None else priors[number]
+            costs.append(self.cost(motion, self.around(points)) + near + prior)
         probability = self._walker.solve(np.stack(costs), fine=fine)
         return np.asarray(probability.argmax(0), dtype=np.int32)
 

@@ -6,6 +6,7 @@ most, assign each pixel to the motion that explains it, refine, and compute the 
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,14 +16,14 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import fitting, registration
-from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
+from objectflow.alignment.camera_estimate import CameraCheckSettings, estimate_camera
+from objectflow.alignment.camera_motion import CameraMotionSettings
 from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.frame_pair import MATCH_WIDTH, FramePair
 from objectflow.alignment.likelihood import LikelihoodSettings
 from objectflow.alignment.matching import MatchSettings, PixelMatches, inside
-from objectflow.alignment.measured_noise import measure_depth_noise
 from objectflow.alignment.registration import RegistrationSettings
-from objectflow.geometry.depth_noise import DEPTH_NOISE, STRUCTURED_LIGHT, DepthNoiseName
+from objectflow.geometry.depth_noise import DepthNoiseName
 from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.base import PairEstimator
 from objectflow.methods.consensus.assignment import Assignment, AssignmentSettings, MovingMask
@@ -30,6 +31,7 @@ from objectflow.methods.consensus.pixel_graph import PixelGraphSettings
 from objectflow.methods.consensus.proposals import ProposalSettings, propose
 from objectflow.methods.consensus.selection import Selection, SelectionSettings, prune, select_objects
 from objectflow.methods.consensus.unexplained import RecoverySettings, recover_unexplained
+from objectflow.methods.labels import unknown_motion
 from objectflow.methods.mask_edges import MaskEdgeSettings, upsample_labels
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
@@ -59,10 +61,11 @@ class ConsensusConfig(Settings):
     """Maximum number of points per object that are registered, sampled evenly."""
     min_matches: int = setting(6, minimum=3)
     """Minimum number of matches inside a mask for their fit to be an initial motion."""
-    depth_noise: DepthNoiseName = "structured-light"
+    depth_noise: DepthNoiseName = "measured"
     """Noise model of the depth camera; measured: fitted to each pair."""
     matching: MatchSettings = MatchSettings()
     camera_motion: CameraMotionSettings = CameraMotionSettings()
+    camera_check: CameraCheckSettings = CameraCheckSettings()
     proposals: ProposalSettings = ProposalSettings()
     likelihood: LikelihoodSettings = LikelihoodSettings()
     graph: PixelGraphSettings = PixelGraphSettings()
@@ -89,16 +92,36 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
 
     def estimate(self, pair: FramePair) -> SceneMotion:
         """See `PairEstimator`."""
-        pair = pair.with_matching(self.matching)
-        return self.find(pair.with_noise(DEPTH_NOISE.get(self.depth_noise, STRUCTURED_LIGHT)))
+        start = time.perf_counter()
+        camera = estimate_camera(
+            pair.with_matching(self.matching),
+            camera=self.camera,
+            depth_noise=self.depth_noise,
+            seed=self.seed,
+            motion=self.camera_motion,
+            settings=self.camera_check,
+        )
+        if camera.state == "unknown":
+            motion = dataclasses.replace(
+                unknown_motion(pair.curr.frame.depth.shape), method="consensus", settings=self.to_dict()
+            )
+        else:
+            motion = self.find(camera.pair, camera.prev_T_curr)
+        return dataclasses.replace(motion, notes=camera.notes, seconds=time.perf_counter() - start)
 
     def find(
-        self, pair: FramePair, *, known: BoolMask | None = None, others: Sequence[MovingMask] = ()
+        self,
+        pair: FramePair,
+        camera_motion: Float64Array | None = None,
+        *,
+        known: BoolMask | None = None,
+        others: Sequence[MovingMask] = (),
     ) -> SceneMotion:
         """The moving objects among the pixels that nothing else explains.
 
         Args:
-            pair: the frames, with the noise of their depth, which is measured here where the settings say so.
+            pair: the frames, with the noise of their depth.
+            camera_motion: (4, 4) `prev_T_curr` of the static background; None for a static camera.
             known: (H, W) bool of the current frame: pixels that belong to known objects. They are not searched, and
                 are background in the result.
             others: motion and (H, W) mask of each object that is known to move and may have hidden background.
@@ -107,12 +130,8 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
         rng = np.random.default_rng(self.seed)
         # 1. Match the frames.
         full = pair.at_width(self.match_width)
-        # 2. Estimate the background's motion: what does not follow it moves.
-        camera_motion = background_motion(full, camera=self.camera, rng=rng, settings=self.camera_motion)
+        # 2. What does not follow the background moves.
         background = np.eye(4) if camera_motion is None else camera_motion
-        if self.depth_noise == "measured":
-            pair = pair.with_noise(measure_depth_noise(pair, camera_motion))
-            full = pair.at_width(self.match_width)
         # 3. Propose rigid motions of the remaining matches.
         movers = _moving(full.matches, background, full, self.background_sigmas)
         if known is not None:

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.consensus.estimator import ConsensusEstimator
 from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
@@ -38,12 +39,11 @@ def recover_missed_objects(
     """
     likelihood, search = PairLikelihood(pair, settings.likelihood), settings.missed_objects
     rim = max(1, round(search.rim_px * labels.shape[1] / likelihood.shape[1]))
-    known = _dilated(labels > 0, rim)
+    known = _dilated((labels > 0) & ~_unexplained(likelihood, labels, objects, search), rim)
     if not _has_changed(likelihood, known, search):
         return labels, objects
     others = [(obj.prev_T_curr, labels == obj.id) for obj in objects if obj.moving]
     consensus = ConsensusEstimator(
-        camera="static",
         rounds=search.rounds,
         min_object_share=search.min_object_share,
         likelihood=settings.likelihood,
@@ -61,6 +61,22 @@ def recover_missed_objects(
     labels = number[labels]
     merged = _merge_new_parts(likelihood, likelihood.downscale(labels), objects, own, search)
     return relabel_present(merged[labels], objects + own)
+
+
+def _unexplained(
+    likelihood: PairLikelihood, labels: LabelImage, objects: Objects, settings: MissedObjectSettings
+) -> BoolMask:
+    """(H, W) bool: larger regions of objects at rest that cannot have stood still: something moved there."""
+    small = likelihood.downscale(labels)
+    resting = np.isin(small, [obj.id for obj in objects if not obj.moving])
+    cost, hidden = likelihood.static_cost()
+    changed = resting & (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden
+    core = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+    numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
+    sizes = np.bincount(numbers.ravel(), minlength=count + 1)
+    large = np.flatnonzero(sizes >= settings.min_object_share * cost.size)
+    region = np.isin(numbers, large[large > 0]).astype(np.uint8)
+    return upsample_mask(cv2.dilate(region, np.ones((5, 5))) > 0, labels.shape) & (labels > 0)
 
 
 def _has_changed(likelihood: PairLikelihood, known: BoolMask, settings: MissedObjectSettings) -> bool:

@@ -25,6 +25,8 @@ class PairLikelihood:
     def __init__(self, pair: FramePair, settings: LikelihoodSettings) -> None:
         self.pair, self._settings = pair.at_width(settings.width), settings
         self.points = self.pair.curr.points
+        self._static: tuple[Float32Array, BoolMask] | None = None
+        self._static_depth: tuple[Float32Array, BoolMask] | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -49,11 +51,26 @@ class PairLikelihood:
         return self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
 
     def static_cost(self) -> tuple[Float32Array, BoolMask]:
-        """(H, W) cost of standing still, and (H, W) bool: pixels that were hidden."""
-        return self._motion_cost(np.eye(4), EVERYWHERE, None)
+        """(H, W) cost of standing still under any light, and (H, W) bool: pixels that were hidden."""
+        if self._static is None:
+            self._static = self._motion_cost(np.eye(4), EVERYWHERE, None, light=True)
+        return self._static
+
+    def static_depth_cost(self) -> tuple[Float32Array, BoolMask]:
+        """`static_cost` of depth alone."""
+        if self._static_depth is None:
+            pair = self.pair
+            self._static_depth = motion_cost(
+                pair.prev.frame, self.points, np.eye(4), None, noise=pair.noise, settings=self._settings
+            )
+        return self._static_depth
+
+    def cost_at_rest(self, mask: BoolMask) -> Float32Array:
+        """(N,) cost of the pixels of a mask, row by row, if they stood still under any light."""
+        return np.asarray(self.static_cost()[0][mask])
 
     def _motion_cost(
-        self, prev_T_curr: Float64Array, box: Box, out_of_view: float | None
+        self, prev_T_curr: Float64Array, box: Box, out_of_view: float | None, *, light: bool = False
     ) -> tuple[Float32Array, BoolMask]:
         prev, curr = self.pair.prev, self.pair.curr
         return motion_cost(
@@ -63,6 +80,7 @@ class PairLikelihood:
             (prev.appearance, curr.appearance),
             box,
             out_of_view=out_of_view,
+            light=light,
             noise=self.pair.noise,
             settings=self._settings,
         )

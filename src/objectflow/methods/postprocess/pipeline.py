@@ -16,8 +16,10 @@ from objectflow.methods.postprocess.changes import StepChange, describe_change
 from objectflow.methods.postprocess.merge_fragments import merge_fragments
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
+from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
 from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.settings import PostprocessSettings
+from objectflow.methods.postprocess.split_objects import split_objects
 from objectflow.methods.postprocess.static_test import reject_static
 from objectflow.typing import LabelImage
 
@@ -48,9 +50,11 @@ def _drop_uncertain(
 
 STEPS: dict[str, Step] = {
     "refine": _refine,  # register each object to the previous frame
+    "split": split_objects,  # separate surfaces of one mask that move differently are separate objects
     "static_test": reject_static,  # objects without evidence of motion are static
     "motion_search": search_motions,  # other motions for objects that theirs do not explain
     "merge": merge_fragments,  # fragments that one motion explains are one body
+    "reassign": reassign_pixels,  # pixels follow the motion that explains them
     "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
     "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
     "missed_objects": recover_missed_objects,  # what changed outside of all objects

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import motion_confidence
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings
+from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.typing import LabelImage
+
+UNSEEN = 1e3
+"""Cost that marks pixels which the previous frame does not show."""
 
 
 def set_confidence(
@@ -26,19 +28,28 @@ def set_confidence(
         pair: the frames, from a static camera.
         labels: (H, W) int32.
         objects: with their final motions.
-        settings: `likelihood` applies.
+        settings: `static_test` and `likelihood` apply.
 
     Returns:
-        The same labels and objects; static objects and objects without depth keep their score.
+        The same labels and objects; static objects keep their score. Pixels that the previous frame does not show
+        confirm nothing, and an object of which it shows too little is a guess.
     """
-    likelihood = PairLikelihood(pair, settings.likelihood)
+    likelihood, test = PairLikelihood(pair, settings.likelihood), settings.static_test
     small = likelihood.downscale(labels)
+    resting = RestingCosts(likelihood, small, objects, test)
     out = []
     for obj in objects:
-        mask = likelihood.mask(small, obj.id) if obj.moving else np.zeros(0, bool)
+        mask = likelihood.mask(small, obj.id)
+        if not obj.moving:
+            out.append(obj)
+            continue
+        score = 0.0
         if mask.any():
-            cost = likelihood.cost(obj.prev_T_curr, mask)
-            gain = likelihood.cost(np.eye(4), mask) - cost
-            obj = dataclasses.replace(obj, score=motion_confidence(cost, gain))  # noqa: PLW2901
-        out.append(obj)
+            cost = likelihood.cost(obj.prev_T_curr, mask, out_of_view=UNSEEN)
+            visible = cost < UNSEEN
+            gain = resting.of(obj.id) - likelihood.cost(obj.prev_T_curr, mask)
+            score = motion_confidence(cost, gain)
+            if visible.mean() < test.min_visible:
+                score = min(score, test.unseen_score)
+        out.append(dataclasses.replace(obj, score=score))
     return labels, tuple(out)

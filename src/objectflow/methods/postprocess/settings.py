@@ -9,6 +9,8 @@ from objectflow.alignment.refine_objects import RefineSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.errors import SettingsError
 from objectflow.geometry.moved import STATIC_DISPLACEMENT
+from objectflow.methods.consensus.assignment import AssignmentSettings
+from objectflow.methods.consensus.pixel_graph import PixelGraphSettings
 from objectflow.methods.mask_edges import MaskEdgeSettings
 from objectflow.settings import Settings, setting
 
@@ -30,6 +32,20 @@ class StaticTestSettings(Settings):
     """Probability of an object from which the network decides where the frames give no evidence."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
+    uncovered_cost: float = setting(1.5, minimum=0)
+    """Cost of standing still for background without texture that another mover uncovered."""
+    full_texture: float = setting(15.0, above=0)
+    """Grey levels: mean local contrast from which a surface counts as textured."""
+    shadow_depth_ratio: float = setting(0.85, minimum=0, maximum=1)
+    """Share of an object whose depth did not change, from which it may be the shadow of a mover beside it."""
+    shadow_area_ratio: float = setting(0.7, minimum=0)
+    """Largest size of such a shadow relative to the mover."""
+    shadow_reach_px: int = setting(5, minimum=0)
+    """Pixels, at the width of the likelihood, between a mover and its shadow."""
+    min_visible: float = setting(1 / 3, minimum=0, maximum=1)
+    """Share of an object that the previous frame must show under its motion; other motions are guesses."""
+    unseen_score: float = setting(0.3, minimum=0, maximum=1)
+    """Highest score of an object of which the previous frame shows less."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +134,28 @@ class SearchLevelSettings(Settings):
 
 
 @dataclass(frozen=True)
+class SplitSettings(Settings):
+    """When the separate surfaces of one mask are separate objects (`split_objects`)."""
+
+    min_pixels: int = setting(60, minimum=3)
+    """Fewest pixels of a part, at the width of the likelihood."""
+    min_share: float = setting(0.1, minimum=0, maximum=1)
+    """Share of the mask: smaller parts stay with the rest."""
+    min_core_share: float = setting(0.15, minimum=0, maximum=1)
+    """Share of a mask that cannot have stood still, from which these pixels alone may give the object's motion."""
+    max_core_cost: float = setting(0.7, minimum=0)
+    """Largest mean cost of those pixels under that motion."""
+    depth_slope: float = setting(0.012, minimum=0)
+    """Depth difference between neighbouring pixels of one surface, relative to depth."""
+    depth_sigmas: float = setting(3.0, minimum=0)
+    """The same in standard deviations of depth, in addition."""
+    max_cost: float = setting(1.0, minimum=0)
+    """Largest mean cost of each part under its motion; motions that explain nothing are no evidence of two things."""
+    max_loss: float = setting(0.4, minimum=0)
+    """Largest mean cost that a part may lose by sharing another part's motion."""
+
+
+@dataclass(frozen=True)
 class MotionSearchSettings(Settings):
     """Which motions are searched again, and which results replace them (`motion_search`)."""
 
@@ -168,6 +206,31 @@ class MergeSettings(Settings):
 
 
 @dataclass(frozen=True)
+class ReassignSettings(Settings):
+    """How pixels are assigned between the movers and standing still (`reassign_pixels`)."""
+
+    min_pixels: int = setting(20, minimum=3)
+    """Fewest pixels, at the width of the likelihood, of an object that takes part."""
+    inlier_cost: float = setting(1.0, above=0)
+    """Cost up to which a pixel counts as explained."""
+    min_inlier_ratio: float = setting(0.5, minimum=0, maximum=1)
+    """Share of its mask that an object's motion must explain to take part; other masks stay as they are."""
+    own_mask: float = setting(2.0, minimum=0)
+    """Cost that an object's motion is spared within its mask."""
+    growth: float = setting(3.0, minimum=0)
+    """Cost of an object's motion outside its mask, where the surface has no texture and fits many motions."""
+    textured_growth: float = setting(0.3, minimum=0)
+    """The same where the surface has texture, and where standing still is impossible because the previous frame saw
+    through the point."""
+    full_texture: float = setting(15.0, above=0)
+    """Grey levels: mean local contrast from which a surface counts as textured."""
+    other_object: float = setting(1.0, minimum=0)
+    """Cost of taking a pixel from another object, in addition."""
+    graph: PixelGraphSettings = PixelGraphSettings()
+    assignment: AssignmentSettings = AssignmentSettings()
+
+
+@dataclass(frozen=True)
 class MissedObjectSettings(Settings):
     """Where missed objects are searched, and what is added (`missed_objects`).
 
@@ -203,8 +266,8 @@ class PostprocessSettings(Settings):
     """The steps after a network, in their order, and their settings."""
 
     steps: tuple[str, ...] = (
-        "refine", "static_test", "motion_search", "merge",
-        "snap_to_edges", "drop_uncertain", "missed_objects", "confidence",
+        "refine", "split", "static_test", "motion_search", "merge",
+        "reassign", "drop_uncertain", "missed_objects", "static_test", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
@@ -215,7 +278,9 @@ class PostprocessSettings(Settings):
     likelihood: LikelihoodSettings = LikelihoodSettings()
     refine: RefineSettings = RefineSettings()
     static_test: StaticTestSettings = StaticTestSettings()
+    split: SplitSettings = SplitSettings()
     motion_search: MotionSearchSettings = MotionSearchSettings()
     merge: MergeSettings = MergeSettings()
+    reassign: ReassignSettings = ReassignSettings()
     snap_to_edges: MaskEdgeSettings = MaskEdgeSettings()
     missed_objects: MissedObjectSettings = MissedObjectSettings()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
@@ -15,8 +16,9 @@ from objectflow.geometry.moved import is_moving
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
+from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
-from objectflow.typing import Float32Array, LabelImage
+from objectflow.typing import LabelImage
 
 
 class MotionEvidence(NamedTuple):
@@ -65,26 +67,47 @@ def reject_static(
     """
     likelihood = PairLikelihood(pair, settings.likelihood)
     small, test = likelihood.downscale(labels), settings.static_test
+    resting = RestingCosts(likelihood, small, objects, test)
     out = []
     for obj in objects:
         moving = bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, test.static_displacement))
         motion = obj.prev_T_curr
         if moving:
-            evidence = find_evidence(likelihood, small, obj, settings)
-            moving = evidence is None or evidence.moved(obj.score, test)
+            evidence = find_evidence(likelihood, small, obj, resting, settings)
+            moving = evidence is not None and evidence.moved(obj.score, test)
+            moving = moving and not _is_shadow(likelihood, small, obj, objects, test)
             motion = motion if moving else np.eye(4)
         out.append(dataclasses.replace(obj, prev_T_curr=motion, moving=moving))
     return labels, tuple(out)
 
 
+def _is_shadow(
+    likelihood: PairLikelihood, small: LabelImage, obj: ObjectMotion, objects: Objects, settings: StaticTestSettings
+) -> bool:
+    """Whether an object is a change of colour alone beside a larger mover: its shadow or its reflection."""
+    mask = likelihood.mask(small, obj.id)
+    depth, hidden = likelihood.static_depth_cost()
+    unchanged = (depth[mask] < settings.inlier_cost) & ~hidden[mask]
+    if unchanged.mean() < settings.shadow_depth_ratio:
+        return False
+    size = 2 * settings.shadow_reach_px + 1
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    larger = [one.id for one in objects if one.moving and one.pixels * settings.shadow_area_ratio > obj.pixels]
+    return bool(np.isin(small[near], larger).any())
+
+
 def find_evidence(
-    likelihood: PairLikelihood, small: LabelImage, obj: ObjectMotion, settings: PostprocessSettings
+    likelihood: PairLikelihood,
+    small: LabelImage,
+    obj: ObjectMotion,
+    resting: RestingCosts,
+    settings: PostprocessSettings,
 ) -> MotionEvidence | None:
-    """The evidence on one object; None where none of its pixels has depth."""
+    """The evidence on one object; None where none of its pixels has depth, which is no evidence of a motion."""
     mask = likelihood.mask(small, obj.id)
     if not mask.any():
         return None
-    static: Float32Array = likelihood.cost(np.eye(4), mask)
+    static = resting.of(obj.id)
     return MotionEvidence(
         gain=float((static - likelihood.cost(obj.prev_T_curr, mask)).mean()),
         static_inliers=float((static < settings.static_test.inlier_cost).mean()),

@@ -38,6 +38,9 @@ from objectflow.networks.weights import load_network
 from objectflow.runtime.devices import find_device
 from objectflow.settings import setting
 
+SCALED_DEPTH = 0.75
+"""Metres: median depth to which scenes are scaled that lie nearer or farther than those of the training data."""
+
 
 @dataclass(frozen=True)
 class RigidMatchConfig(CompensationConfig):
@@ -54,6 +57,9 @@ class RigidMatchConfig(CompensationConfig):
     """Minimum probability of an object."""
     min_pixels: int = setting(MIN_PIXELS, minimum=1)
     """Minimum size of an object, in pixels of the network's input."""
+    unscaled_depth: tuple[float, float] = (0.25, 3.0)
+    """Metres: median depths between these are given to the network as they are, if it was trained without scaling;
+    nearer and farther scenes are scaled to 0.75 m, and lengths are scaled back."""
     overlap_threshold: float = setting(OVERLAP_THRESHOLD, minimum=0, maximum=1)
     """Minimum share of its mask that an object keeps where masks overlap; an object with less is removed."""
     explain: bool = False
@@ -103,7 +109,11 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         with torch.inference_mode():
             (prev_color, prev_points), (curr_color, curr_points) = to_tensors(prev, device), to_tensors(curr, device)
             # The network is trained at one median depth; lengths are scaled back.
-            factor = depth_factor(curr_points, self.network.settings.median_depth)
+            factor = depth_factor(curr_points, self.network.settings.median_depth or SCALED_DEPTH)
+            if not self.network.settings.median_depth:
+                low, high = self.unscaled_depth
+                median = SCALED_DEPTH / factor
+                factor = torch.where((median < low) | (median > high), factor, torch.ones_like(factor))
             wide = factor[:, None, None, None]
             out: RigidMatchOutput = self.network(
                 prev_color, wide * prev_points, curr_color, wide * curr_points, table=False
