@@ -166,7 +166,7 @@ def test_a_recording_plays_in_real_time_and_skips_overdue_frames(monkeypatch: py
 
 
 def test_memory_is_bounded_over_two_thousand_frames() -> None:
-    tracker = Tracker(TrackerSettings(history=2))
+    tracker = Tracker(TrackerSettings(history=2, min_color_similarity=0.0))  # colours encode the frame number
     shape = (12, 16)
     labels = np.zeros(shape, np.int32)
     labels[3:9, 4:10] = 1
