@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 from objectflow.alignment.matching import DEFAULTS as MATCHING
 from objectflow.alignment.matching import MatchSettings, PixelMatches, match_frames
@@ -22,6 +23,7 @@ class FramePair:
         prev, curr: the frames, prepared.
         noise: the noise of their depth, to which thresholds in metres relate.
         matching: which matches between them are accepted.
+        memo: what steps compute once and share, by their own keys.
 
     Raises:
         FrameError: the frames differ in size or intrinsics.
@@ -39,6 +41,7 @@ class FramePair:
         check_pair(self.prev.frame, self.curr.frame)
         self.noise, self.matching = noise, matching
         self._at: dict[int, FramePair] = {}
+        self.memo: dict[object, Any] = {}
 
     def at_width(self, width: int) -> FramePair:
         """The pair downscaled to a width in pixels; itself where it is no wider."""

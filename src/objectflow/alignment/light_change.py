@@ -22,6 +22,8 @@ class LightSettings(Settings):
 
     width: int = setting(320, minimum=16)
     """Pixels: width at which the frames are compared."""
+    stride: int = setting(2, minimum=1)
+    """Pixels between those that are compared."""
     max_depth_change: float = setting(0.03, above=0)
     """Relative difference of depth up to which a pixel shows the same surface in both frames."""
     darkest: float = setting(10.0, minimum=0)
@@ -118,7 +120,8 @@ def _compared_colors(
         warped = warp_previous(prev, moved, tolerance=tolerance)
         color, same = warped.color, warped.visible & curr.valid
     blurred = [cv2.blur(image, (3, 3)) for image in (color, curr.color.astype(np.float32))]
-    return np.asarray(blurred[0][same]), np.asarray(blurred[1][same])
+    grid = slice(None, None, settings.stride), slice(None, None, settings.stride)
+    return np.asarray(blurred[0][grid][same[grid]]), np.asarray(blurred[1][grid][same[grid]])
 
 
 def _fit_channel(prev: Float32Array, curr: Float32Array, settings: LightSettings) -> tuple[float, float]:

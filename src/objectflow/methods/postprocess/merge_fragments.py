@@ -31,7 +31,7 @@ def merge_fragments(
     Returns:
         Labels and objects, numbered anew from 1. A merged object has the higher score and the larger piece's centre.
     """
-    likelihood = PairLikelihood(pair, settings.likelihood)
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
     small_labels = likelihood.downscale(labels)
     left = {obj.id: obj for obj in objects}
     renamed = np.arange(1 + max(left, default=0), dtype=np.int32)

@@ -37,7 +37,7 @@ def recover_missed_objects(
     Returns:
         Labels and objects, numbered anew from 1.
     """
-    likelihood, search = PairLikelihood(pair, settings.likelihood), settings.missed_objects
+    likelihood, search = PairLikelihood.of(pair, settings.likelihood), settings.missed_objects
     rim = max(1, round(search.rim_px * labels.shape[1] / likelihood.shape[1]))
     known = _dilated((labels > 0) & ~_unexplained(likelihood, labels, objects, search), rim)
     if not _has_changed(likelihood, known, search):

@@ -64,7 +64,7 @@ def search_motions(
     Returns:
         The same labels and objects; `moving` follows a new motion's size. The result is deterministic.
     """
-    likelihood, search = PairLikelihood(pair, settings.likelihood), settings.motion_search
+    likelihood, search = PairLikelihood.of(pair, settings.likelihood), settings.motion_search
     small = likelihood.downscale(labels)
     motions = {obj.id: obj.prev_T_curr for obj in objects if obj.moving}
     masks = {number: likelihood.mask(small, number) for number in motions}

@@ -28,6 +28,15 @@ class PairLikelihood:
         self._static: tuple[Float32Array, BoolMask] | None = None
         self._static_depth: tuple[Float32Array, BoolMask] | None = None
 
+    @classmethod
+    def of(cls, pair: FramePair, settings: LikelihoodSettings) -> PairLikelihood:
+        """The likelihood of a pair, which all steps with the same settings share."""
+        key = (cls, settings)
+        if key not in pair.memo:
+            pair.memo[key] = cls(pair, settings)
+        found: PairLikelihood = pair.memo[key]
+        return found
+
     @property
     def shape(self) -> tuple[int, ...]:
         """(H, W)."""

@@ -37,7 +37,7 @@ def reassign_pixels(
         better.
     """
     small = pair.at_width(settings.likelihood.width)
-    likelihood = PairLikelihood(pair, settings.likelihood)
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
     old = likelihood.downscale(labels)
     movers = [obj for obj in objects if obj.moving and _is_explained(likelihood, old, obj, settings.reassign)]
     new = old

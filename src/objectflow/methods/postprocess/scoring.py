@@ -34,7 +34,7 @@ def set_confidence(
         The same labels and objects; static objects keep their score. Pixels that the previous frame does not show
         confirm nothing, and an object of which it shows too little is a guess.
     """
-    likelihood, test = PairLikelihood(pair, settings.likelihood), settings.static_test
+    likelihood, test = PairLikelihood.of(pair, settings.likelihood), settings.static_test
     small = likelihood.downscale(labels)
     resting = RestingCosts(likelihood, small, objects, test)
     out = []

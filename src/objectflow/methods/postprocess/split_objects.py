@@ -39,7 +39,7 @@ def split_objects(
     Returns:
         Labels and objects, numbered anew from 1. A part that moves by itself has the score of the whole.
     """
-    likelihood = PairLikelihood(pair, settings.likelihood)
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
     small = likelihood.downscale(labels)
     surfaces = _surfaces(likelihood, settings.split)
     objects = tuple(_with_core_motion(pair, likelihood, small, obj, settings) for obj in objects)

@@ -65,7 +65,7 @@ def reject_static(
     Returns:
         The same labels and objects; `moving` is decided anew by the size of the motion and the evidence.
     """
-    likelihood = PairLikelihood(pair, settings.likelihood)
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
     small, test = likelihood.downscale(labels), settings.static_test
     resting = RestingCosts(likelihood, small, objects, test)
     out = []
