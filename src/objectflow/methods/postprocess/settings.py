@@ -141,6 +141,8 @@ class SplitSettings(Settings):
     """Fewest pixels of a part, at the width of the likelihood."""
     min_share: float = setting(0.1, minimum=0, maximum=1)
     """Share of the mask: smaller parts stay with the rest."""
+    max_points: int = setting(600, minimum=6)
+    """Maximum number of points per part that are registered."""
     min_core_share: float = setting(0.15, minimum=0, maximum=1)
     """Share of a mask that cannot have stood still, from which these pixels alone may give the object's motion."""
     max_core_cost: float = setting(0.7, minimum=0)

@@ -137,7 +137,7 @@ def _best_motion(
     wide = pair.at_width(settings.refine.width)
     frame = wide.curr.frame
     rows, columns = nearest_indices(part.shape, frame.depth.shape)
-    source = wide.sources.take(part[rows[:, None], columns], limit=settings.refine.max_points)
+    source = wide.sources.take(part[rows[:, None], columns], limit=settings.split.max_points)
     initial = [first, np.eye(4)]
     matches = wide.matches[inside(part, wide.matches, frame.camera)]
     if len(matches.curr) >= settings.refine.min_matches:
