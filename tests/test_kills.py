@@ -36,9 +36,8 @@ def stopped_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("methods.baselines.zero", "evaluation.predict", "training.loop"):
         monkeypatch.setattr(f"objectflow.{module}.time", still)
     monkeypatch.setattr(loop, "Run", functools.partial(loop.Run, started=0.0))
-    warm = functools.partial(encode, cold=False)
     monkeypatch.setattr(
-        "objectflow.evaluation.predict.encode", lambda motion, *, cold, machine: warm(motion, machine=machine)
+        "objectflow.evaluation.predict.encode", lambda motion, **facts: encode(motion, **{**facts, "cold": False})
     )
     monkeypatch.setattr(generation_jobs, "ROWS_A_SHARD", 2)
 
