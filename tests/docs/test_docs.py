@@ -18,7 +18,7 @@ import docs_inputs
 import docs_outputs
 import draw_conventions
 from helpers.paths import ROOT
-from objectflow.cli import COMMANDS
+from objectflow.cli import COMMANDS, split_intrinsics
 from objectflow.diagnosis import examine
 from objectflow.methods.registry import METHODS
 from objectflow.readers import open_pair
@@ -33,7 +33,7 @@ QUICK_FAULTS = (
 def parse(line: str) -> Any:
     """Parse a command line without running it."""
     words = shlex.split(line, comments=True)
-    words = words[words.index("objectflow") + 1 :]
+    words = split_intrinsics(words[words.index("objectflow") + 1 :])
     entry = COMMANDS[words[0]]
     module = importlib.import_module(entry.module)
     default = module.default(words[1:]) if hasattr(module, "default") else None

@@ -125,7 +125,7 @@ def _dispatch(words: list[str]) -> int:
         near = difflib.get_close_matches(words[0], COMMANDS, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         return _fail(f"unknown command {words[0]!r}: {hint}choose one of {', '.join(COMMANDS)}", EXIT_BAD_INPUT)
-    words = _split_intrinsics(words)
+    words = split_intrinsics(words)
     entry = COMMANDS[words[0]]
     module = importlib.import_module(entry.module)
     import tyro
@@ -148,7 +148,7 @@ def _dispatch(words: list[str]) -> int:
     return 0
 
 
-def _split_intrinsics(words: list[str]) -> list[str]:
+def split_intrinsics(words: list[str]) -> list[str]:
     """Four intrinsics that are separated by commas, `--intrinsics 615,615,320,240`, as four words."""
     out: list[str] = []
     for word in words:

@@ -15,10 +15,9 @@ from objectflow.cli.arguments import option
 from objectflow.methods.registry import METHODS
 
 EXAMPLES = """\
-  eval "$(objectflow completion bash)"
-  objectflow completion bash >> ~/.bashrc
-  objectflow completion zsh >> ~/.zshrc
-  objectflow completion fish > ~/.config/fish/completions/objectflow.fish
+  objectflow completion bash
+  objectflow completion zsh
+  objectflow completion fish
 """
 
 BASH = """\
@@ -38,7 +37,10 @@ complete -o filenames -o bashdefault -F _objectflow objectflow
 
 @dataclass(frozen=True)
 class Completion:
-    """Print the script that makes a shell complete commands, options and methods of objectflow with the Tab key."""
+    """Print the script that makes a shell complete commands, options and methods of objectflow with the Tab key.
+
+    Append it to ~/.bashrc or ~/.zshrc, or write it to ~/.config/fish/completions/objectflow.fish.
+    """
 
     shell: Annotated[Positional[Literal["bash", "zsh", "fish"]], option("bash|zsh|fish")]
     """The shell."""

@@ -28,7 +28,7 @@ EXAMPLES = """\
   objectflow demo
   objectflow demo --view
   objectflow demo --method consensus --out result
-  objectflow demo --pair pair && objectflow estimate pair --out result
+  objectflow demo --pair pair
 """
 
 

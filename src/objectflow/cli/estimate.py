@@ -11,7 +11,6 @@ from typing import Annotated, Any
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import MethodArguments, ResultArguments, ViewArguments, location, open_two, option
-from objectflow.cli.findings import warn_of
 from objectflow.cli.output import new_result, print_objects, print_written, write_result
 from objectflow.frame import check_pair
 from objectflow.runtime.quiet import silence_stderr
@@ -54,10 +53,11 @@ class Estimate(ViewArguments, ResultArguments, MethodArguments):
         check_pair(prev, curr)
         for note in frames.notes:
             print(f"note: {note}")
-        warn_of(prev, curr)
-        # Frames are read first: a wrong path is reported before the method, which is slow to import, is loaded.
+        # Frames are read first: a wrong path is reported before anything that is slow to import.
+        from objectflow.cli.findings import warn_of
         from objectflow.view.viewer_frames import pair_frames
 
+        warn_of(prev, curr)
         estimator = self.estimator()
         with self.viewer(self.paths[0].stem) as viewer, new_result(self.out) as (folder, path):
             motion = dataclasses.replace(estimator(prev, curr), frames=location(frames))
