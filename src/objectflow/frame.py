@@ -168,7 +168,7 @@ class RgbdFrame:
             CameraError: a width that is not whole and positive.
         """
         if not is_number(width) or not width >= 1:
-            raise CameraError(f"a width must be a whole number of pixels, not {width!r}")
+            raise CameraError(f"a width must be a whole and positive number of pixels, not {width!r}")
         if self.camera.width <= width:
             return self
         whole = int(width)

@@ -110,7 +110,7 @@ class Camera:
         for name, value in (("width", width), ("height", height)):
             if not is_number(value) or not 1 <= value <= MAX_PIXELS or int(value) != value:
                 raise CameraError(
-                    f"the {name} of an image must be a whole number of pixels, not {reprlib.repr(value)}"
+                    f"the {name} of an image must be a whole and positive number of pixels, not {reprlib.repr(value)}"
                 )
         width, height = int(width), int(height)
         sx, sy = width / self.width, height / self.height
@@ -132,7 +132,10 @@ class Camera:
         if not all(map(is_number, (x, y, width, height))):
             raise CameraError(f"a crop needs four numbers of pixels, not {reprlib.repr((x, y, width, height))}")
         if not (x >= 0 and y >= 0 and width >= 1 and height >= 1):  # written so that NaN fails too
-            raise CameraError(f"crop {width}x{height}+{x}+{y} is empty or starts outside the image")
+            raise CameraError(
+                f"crop {width}x{height}+{x}+{y} of the {self.width}x{self.height} image must have a whole and positive "
+                "size and start inside it"
+            )
         if x + width > self.width or y + height > self.height:
             raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
         return Camera(width=width, height=height, fx=self.fx, fy=self.fy, cx=self.cx - x, cy=self.cy - y)

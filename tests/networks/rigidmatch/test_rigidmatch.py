@@ -55,7 +55,7 @@ def test_headers_of_the_first_generation_describe_its_networks() -> None:
     [
         ({"stride": 6}, "stride must be 4 or 8, not 6"),
         ({"heads": 5}, "multiple of heads"),
-        ({"queries": 0}, "queries must be at least 1, not 0"),
+        ({"queries": 0}, "queries must lie in 1..1024, not 0"),
         ({"blocks": [1, 1]}, "blocks needs three numbers"),
         ({"blocks": [1, 1, "a"]}, "blocks must be of type int"),
         ({"xfeat": "only"}, "xfeat must be one of none, input, score, both, not 'only'"),
