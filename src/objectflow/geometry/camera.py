@@ -133,7 +133,7 @@ class Camera:
             raise CameraError(f"a crop needs four numbers of pixels, not {reprlib.repr((x, y, width, height))}")
         if not (x >= 0 and y >= 0 and width >= 1 and height >= 1):  # written so that NaN fails too
             raise CameraError(
-                f"crop {width}x{height}+{x}+{y} of the {self.width}x{self.height} image must have a whole and positive "
+                f"crop {width}x{height}+{x}+{y} of the {self.width}x{self.height} image must have a whole, positive "
                 "size and start inside it"
             )
         if x + width > self.width or y + height > self.height:
