@@ -19,9 +19,10 @@ from scipy.spatial.transform import Rotation
 import analytic
 import objectflow
 from objectflow import geometry
+from objectflow.alignment.camera_estimate import estimate_camera
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.methods.base import PairEstimator
-from objectflow.methods.moving_camera import MovingCamera, find_camera_motion
+from objectflow.methods.moving_camera import MovingCamera
 from objectflow.methods.registry import find_class
 from objectflow.typing import Float32Array, Float64Array
 
@@ -88,7 +89,7 @@ def error(flow: Float32Array, pair: analytic.AnalyticPair) -> float:
 
 def camera_error(pair: analytic.AnalyticPair, motion: Float64Array) -> tuple[float, float]:
     """Error of the estimated camera motion, metres and degrees."""
-    found = find_camera_motion(FramePair(pair.prev, pair.curr), camera="moving")
+    found = estimate_camera(FramePair(pair.prev, pair.curr), camera="moving").prev_T_curr
     error = geometry.inverse(motion) @ (np.eye(4) if found is None else found)
     return float(np.linalg.norm(error[:3, 3])), float(np.degrees(geometry.rotation_angle(error[:3, :3])))
 

@@ -40,14 +40,36 @@ def measured(
     return found
 
 
+STRIP = np.broadcast_to(np.arange(320) // 80, (240, 320))
+"""(H, W) int: four strips of equal width."""
+
+
 def test_noise_of_surfaces_at_four_depths() -> None:
     """Strips at four depths, of which each lies in a bin of its own; their noise follows no common formula."""
-    depths, sigmas = np.array([0.5, 0.9, 1.5, 2.5]), np.array([0.003, 0.002, 0.012, 0.02])
-    strip = np.broadcast_to(np.arange(320) // 80, (240, 320))
-    found = measured(noisy_pair(depths[strip].astype(np.float32), sigmas[strip].astype(np.float32), color_noise=1.0))
+    depths, sigmas = np.array([0.5, 0.9, 1.5, 2.5]), np.array([0.002, 0.003, 0.012, 0.02])
+    found = measured(noisy_pair(depths[STRIP].astype(np.float32), sigmas[STRIP].astype(np.float32), color_noise=1.0))
     np.testing.assert_allclose(found.depths, depths, rtol=0.01)
     np.testing.assert_allclose(found.sigmas, sigmas, rtol=0.05)
     np.testing.assert_allclose(found.sigma(depths), sigmas, rtol=0.05)
+
+
+def test_a_bin_noisier_than_a_farther_one_takes_the_noise_of_the_farther_one() -> None:
+    """The noise of real cameras grows with depth, so the excess of the near strip is no noise."""
+    depths, sigmas = np.array([0.5, 0.9, 1.5, 2.5]), np.array([0.02, 0.003, 0.012, 0.02])
+    found = measured(noisy_pair(depths[STRIP].astype(np.float32), sigmas[STRIP].astype(np.float32)))
+    np.testing.assert_allclose(found.sigma(depths), [0.003, 0.003, 0.012, 0.02], rtol=0.05)
+
+
+def test_a_near_object_without_texture_that_moves_in_depth_is_not_noise() -> None:
+    """A plain box at 0.6 m, alone in its bin, approaches by 3 cm: its colour stays, and its depth changes alike."""
+    depth, sigma = np.full((240, 320), 1.0, np.float32), np.full((240, 320), 0.004, np.float32)
+    depth[80:160, 100:200] = 0.6
+    pair = noisy_pair(depth, sigma)
+    curr = pair.curr.frame.depth.copy()
+    curr[80:160, 100:200] -= 0.03
+    found = measured(FramePair(pair.prev, RgbdFrame(pair.curr.frame.color, curr, CAMERA)))
+    assert found.depths[0] == pytest.approx(0.57, abs=0.001)
+    np.testing.assert_allclose(found.sigma([0.57, 1.0]), 0.004, rtol=0.05)
 
 
 def test_noise_that_grows_with_depth() -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import analytic
 from objectflow import geometry
+from objectflow.alignment.camera_estimate import CameraEstimate
 from objectflow.alignment.camera_motion import CameraMotionSettings
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import FrameError, MethodError, SettingsError
@@ -155,8 +156,10 @@ def test_a_prepared_pair_is_passed_on_with_what_was_computed_for_the_cameras_mot
     truth, pair = PreparedTruth(scene), FramePair(scene.prev, scene.curr)
     motion = MovingCamera(estimator=truth).estimate(pair)
     (given,) = truth.pairs
-    assert given is pair
-    assert {"matches", "target"} <= given.__dict__.keys()
+    assert given.prev is pair.prev
+    assert given.curr is pair.curr
+    assert given.matches is pair.matches
+    assert isinstance(given.noise, MeasuredDepthNoise)
     assert motion.seconds > 0
     moved = analytic.make_scene(5, camera_motion=MOTION)
     pair = FramePair(moved.prev, moved.curr)
@@ -184,11 +187,13 @@ def test_a_batch_is_its_pairs_one_by_one(monkeypatch: pytest.MonkeyPatch) -> Non
     """A static camera, a moving one, another size, and a camera that turned away, in one batch."""
     static, moved = analytic.make_scene(5), analytic.make_scene(5, camera_motion=MOTION)
     small, turned = (analytic.make_scene(seed, width=160, height=120) for seed in (8, 4))
-    find, away = moving_camera.find_camera_motion, camera_motion((0, 170, 0), (0, 0, 0))
+    find, away = moving_camera.estimate_camera, camera_motion((0, 170, 0), (0, 0, 0))
     monkeypatch.setattr(
         moving_camera,
-        "find_camera_motion",
-        lambda pair, **options: away if pair.curr.frame is turned.curr else find(pair, **options),
+        "estimate_camera",
+        lambda pair, **options: (
+            CameraEstimate("moving", away, pair) if pair.curr.frame is turned.curr else find(pair, **options)
+        ),
     )
     scenes = [static, turned, moved, small]
     estimator = MovingCamera(estimator=DenseFlow())
@@ -215,7 +220,7 @@ def test_the_flow_of_a_moving_camera_is_better_with_compensation() -> None:
 def test_a_camera_that_turned_away_has_only_its_own_motion(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = analytic.make_scene(5)
     away = camera_motion((0, 170, 0), (0, 0, 0))
-    monkeypatch.setattr(moving_camera, "find_camera_motion", lambda *_, **__: away)
+    monkeypatch.setattr(moving_camera, "estimate_camera", lambda pair, **_: CameraEstimate("moving", away, pair))
     truth = PreparedTruth(scene)
     motion = MovingCamera(estimator=truth)(scene.prev, scene.curr)
     points = geometry.back_project(scene.curr.depth, scene.curr.camera)
@@ -246,9 +251,10 @@ def test_the_weights_are_those_of_the_estimator() -> None:
 def test_the_result_depends_on_the_seed_alone() -> None:
     scene = analytic.make_scene(5, camera_motion=MOTION, depth_noise=0.002)
     pair = FramePair(scene.prev, scene.curr)
-    first, again = (moving_camera.find_camera_motion(pair, camera="moving", seed=1) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-    assert moving_camera.find_camera_motion(pair, camera="static") is None
+    first, again = (MovingCamera(estimator=DenseFlow(), camera="moving", seed=1).estimate(pair) for _ in range(2))
+    assert first.camera == "moving"
+    np.testing.assert_array_equal(first.camera_motion, again.camera_motion)
+    np.testing.assert_array_equal(first.scene_flow, again.scene_flow)
 
 
 def test_invalid_input_is_rejected() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment import matching
 from objectflow.alignment.appearance import to_gray
+from objectflow.alignment.camera_estimate import estimate_camera
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.diagnosis import depth as depth_checks
 from objectflow.diagnosis.finding import Finding
@@ -55,7 +56,7 @@ def examine(
     identical = check_identical(prev, curr)
     findings.append(identical)
     if identical.level == "fine":
-        prev_T_curr = moving_camera.find_camera_motion(FramePair(prev, curr), seed=seed)
+        prev_T_curr = estimate_camera(FramePair(prev, curr), seed=seed).prev_T_curr
         findings.append(_exposure(prev, curr))
         if prev_T_curr is None:
             findings.append(_swapped(prev, curr))

@@ -21,7 +21,7 @@ from scipy import ndimage
 from objectflow import geometry
 from objectflow.alignment import warping
 from objectflow.alignment.camera_estimate import CameraCheckSettings, CameraEstimate, estimate_camera
-from objectflow.alignment.camera_motion import CameraMotionSettings, background_motion
+from objectflow.alignment.camera_motion import CameraMotionSettings
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
 from objectflow.errors import MethodError
@@ -160,23 +160,6 @@ class MovingCamera(StaticCameraEstimator):
         inner: dict[str, Any] = self.estimator.to_dict() if isinstance(self.estimator, Settings) else {}
         own = {name: value for name, value in super().to_dict().items() if name != "estimator"}
         return {**inner, **own}
-
-
-def find_camera_motion(
-    pair: FramePair, *, camera: str = "auto", seed: int = 0, settings: CameraMotionSettings | None = None
-) -> Float64Array | None:
-    """`prev_T_curr` of the static background.
-
-    Args:
-        pair: the frames.
-        camera: "moving" always estimates, "auto" returns None unless the motion exceeds the noise, "static" is None.
-        seed: of the random minimal sets.
-        settings: see there; the defaults when None.
-    """
-    if camera == "static":
-        return None
-    rng = np.random.default_rng(seed)
-    return background_motion(pair, camera=camera, rng=rng, settings=settings or CameraMotionSettings())
 
 
 def _camera_alone(pair: FramePair, prev_T_curr: Float64Array | None) -> SceneMotion:

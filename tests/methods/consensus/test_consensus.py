@@ -172,6 +172,7 @@ def test_frames_without_texture_or_overlap_do_not_crash() -> None:
     few = np.zeros_like(pair.curr.depth)
     few[100:104, 100:104] = 0.5
     sparse = RgbdFrame(pair.curr.color, few, pair.curr.camera)
+    cameras = []
     for prev, curr in (
         (plain, plain),
         (plain, pair.curr),
@@ -180,7 +181,16 @@ def test_frames_without_texture_or_overlap_do_not_crash() -> None:
         (pair.prev, sparse),
     ):
         motion = objectflow.load("consensus")(prev, curr)
-        assert np.isfinite(motion.scene_flow[curr.valid]).all()
+        if motion.camera == "unknown":
+            assert np.isnan(motion.scene_flow).all()
+            assert motion.objects == ()
+            assert not motion.labels.any()
+            assert motion.notes[0].startswith("camera: unknown: ")
+        else:
+            assert np.isfinite(motion.scene_flow[curr.valid]).all()
+        cameras.append(motion.camera)
+    # Nothing contradicts a static camera before a plain wall, or where the frames share no depth.
+    assert cameras[:3] == ["static", "unknown", "unknown"]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
@@ -11,6 +12,8 @@ import analytic
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import motion_confidence
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.motion import ObjectMotion
@@ -43,9 +46,39 @@ def test_true_motions_score_high_and_wrong_ones_low(seed: int) -> None:
         assert (right.id, right.pixels, right.moving) == (obj.id, obj.pixels, obj.moving)
 
 
-def test_static_objects_and_objects_without_pixels_keep_their_scores() -> None:
+def test_static_objects_keep_their_scores() -> None:
     scene = analytic.make_scene(51)
     static = ObjectMotion(1, 10, 0.4, False, np.zeros(3), np.eye(4))
-    unseen = ObjectMotion(999, 10, 0.4, True, np.zeros(3), np.eye(4))
-    pair = FramePair(scene.prev, scene.curr)
-    assert set_confidence(pair, scene.labels, (static, unseen), DEFAULTS)[1] == (static, unseen)
+    assert set_confidence(FramePair(scene.prev, scene.curr), scene.labels, (static,), DEFAULTS)[1] == (static,)
+
+
+def test_a_moving_object_without_a_pixel_of_depth_scores_0() -> None:
+    """Neither frame confirms its motion, whatever the network's probability."""
+    scene = analytic.make_scene(51)
+    mask = scene.labels == 1
+    assert mask.any()
+    curr = dataclasses.replace(scene.curr, depth=np.where(mask, 0, scene.curr.depth).astype(np.float32))
+    nowhere, without_depth = (ObjectMotion(k, 10, 0.9, True, np.zeros(3), scene.prev_T_curr[1]) for k in (999, 1))
+    _, found = set_confidence(FramePair(scene.prev, curr), scene.labels, (nowhere, without_depth), DEFAULTS)
+    assert [obj.score for obj in found] == [0.0, 0.0]
+    assert all(obj.moving for obj in found)
+
+
+def test_the_score_falls_with_the_share_that_the_previous_frame_does_not_show() -> None:
+    """A wall that slides along itself: the farther it comes from beyond the border, the less confirms its motion."""
+    rng = np.random.default_rng(0)
+    strip = cv2.GaussianBlur(rng.integers(0, 255, (60, 200, 3), dtype=np.uint8), (0, 0), 1.2)
+    camera = Camera(width=80, height=60, fx=80.0, fy=80.0, cx=39.5, cy=29.5)
+    wall = np.full((60, 80), 1.0, np.float32)
+    shown, scores = [], []
+    for shift in (8, 40, 64):
+        prev, curr = (RgbdFrame(strip[:, at : at + 80].copy(), wall, camera) for at in (100, 100 - shift))
+        motion = geometry.make_transform(np.eye(3), [-shift / 80, 0.0, 0.0])
+        obj = ObjectMotion(1, wall.size, 0.9, True, np.array([0.0, 0.0, 1.0]), motion)
+        labels = np.ones((60, 80), np.int32)
+        (found,) = set_confidence(FramePair(prev, curr), labels, (obj,), DEFAULTS)[1]
+        shown.append(1 - shift / 80)
+        scores.append(found.score)
+    assert 0.75 * shown[0] < scores[0] <= shown[0]
+    assert 0.5 * shown[1] < scores[1] <= shown[1]
+    assert scores[2] <= min(shown[2], DEFAULTS.static_test.unseen_score)

@@ -17,6 +17,7 @@ from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.methods.postprocess.static_test import MotionEvidence, find_evidence, reject_static
+from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
 from objectflow.typing import Float64Array
 
@@ -116,7 +117,9 @@ def test_the_evidence_is_the_mean_difference_of_the_costs() -> None:
     mask[:, 50:70] = PATCH[:, 30:50]
     likelihood = PairLikelihood(FramePair(frame(1.0, 1.0), frame(1.0, 0.8)), LIKELIHOOD)
     back = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.2])
-    found = find_evidence(likelihood, mask.astype(np.int32), patch_object(back, 0.5), DEFAULTS)
+    labels, obj = mask.astype(np.int32), patch_object(back, 0.5)
+    resting = RestingCosts(likelihood, labels, (obj,), DEFAULTS.static_test)
+    found = find_evidence(likelihood, labels, obj, resting, DEFAULTS)
     assert found is not None
     # Static: a free-space violation and a perfect fit. Moving: a perfect fit, and 20 cm behind the wall: hidden.
     assert found.gain == pytest.approx((LIKELIHOOD.free_space_violation - LIKELIHOOD.hidden) / 2, abs=0.05)
@@ -139,11 +142,16 @@ def test_gain_decides_first(gain: float, static_inliers: float, violations: floa
     assert evidence.moved(score, StaticTestSettings()) is moved
 
 
-def test_objects_without_depth_keep_their_motion() -> None:
+@pytest.mark.parametrize("score", [0.1, 0.95])
+def test_objects_without_depth_are_static(score: float) -> None:
+    """No evidence is not taken for motion, however confident the network is."""
     curr = frame(1.0)
     empty = dataclasses.replace(curr, depth=np.where(PATCH, 0, curr.depth).astype(np.float32))
     pair = FramePair(curr, empty)
-    _, (obj,) = reject_static(pair, LABELS, (patch_object(FAR, 0.1),), DEFAULTS)
-    assert obj.moving
-    assert find_evidence(PairLikelihood(pair, LIKELIHOOD), LABELS, obj, DEFAULTS) is None
+    _, (obj,) = reject_static(pair, LABELS, (patch_object(FAR, score),), DEFAULTS)
+    assert not obj.moving
+    np.testing.assert_array_equal(obj.prev_T_curr, np.eye(4))
+    likelihood = PairLikelihood(pair, LIKELIHOOD)
+    resting = RestingCosts(likelihood, LABELS, (obj,), DEFAULTS.static_test)
+    assert find_evidence(likelihood, LABELS, obj, resting, DEFAULTS) is None
     assert reject_static(pair, LABELS, (), DEFAULTS)[1] == ()

@@ -85,7 +85,9 @@ def _assigned(
     found = assignment.assign(motions, anchors, masks, fine=True, priors=priors)
     out = np.where(fixed, labels, 0).astype(np.int32)
     for number, (obj, mask) in enumerate(zip(movers, masks, strict=True), start=1):
-        out[_touching(found == number, mask)] = obj.id
+        region = _touching(found == number, mask)
+        cost = assignment.cost(obj.prev_T_curr, assignment.around(anchors[number - 1]))
+        out[region & ~_unexplained_growth(region & ~mask, cost, own)] = obj.id
     return out
 
 
@@ -97,6 +99,18 @@ def _growth_cost(assignment: Assignment, settings: PostprocessSettings) -> Float
     at_rest = cv2.blur((assignment.background_cost < own.inlier_cost).astype(np.float32), (5, 5))
     evidence = np.where(impossible, 1.0, np.minimum(texture, 1.0) * (1 - at_rest))
     return np.asarray(own.growth + (own.textured_growth - own.growth) * evidence, dtype=np.float32)
+
+
+def _unexplained_growth(growth: BoolMask, cost: Float32Array, settings: ReassignSettings) -> BoolMask:
+    """(H, W) bool: the connected parts of a growth that the motion does not explain, such as a missed object.
+
+    Where standing still is impossible, any motion would win, however badly it fits.
+    """
+    numbers, count = ndimage.label(growth)
+    if not count:
+        return growth
+    means = ndimage.mean(cost, numbers, np.arange(count + 1))
+    return np.asarray(growth & (np.asarray(means)[numbers] >= settings.inlier_cost))
 
 
 def _touching(found: BoolMask, mask: BoolMask) -> BoolMask:
