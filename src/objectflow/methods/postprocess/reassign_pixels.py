@@ -110,7 +110,7 @@ def _unexplained_growth(growth: BoolMask, cost: Float32Array, settings: Reassign
     if not count:
         return growth
     means = ndimage.mean(cost, numbers, np.arange(count + 1))
-    return np.asarray(growth & (np.asarray(means)[numbers] >= settings.inlier_cost))
+    return np.asarray(growth & (np.asarray(means)[numbers] >= settings.max_growth_cost))
 
 
 def _touching(found: BoolMask, mask: BoolMask) -> BoolMask:

@@ -224,6 +224,8 @@ class ReassignSettings(Settings):
     textured_growth: float = setting(0.3, minimum=0)
     """The same where the surface has texture, and where standing still is impossible because the previous frame saw
     through the point."""
+    max_growth_cost: float = setting(2.5, minimum=0)
+    """Largest mean cost of a motion in a region into which its object grows."""
     full_texture: float = setting(15.0, above=0)
     """Grey levels: mean local contrast from which a surface counts as textured."""
     other_object: float = setting(1.0, minimum=0)
