@@ -53,8 +53,9 @@ class GracefulStop:
     def _note(self, number: int, frame: FrameType | None) -> None:
         self.signal = number
         self._restore()
-        # One write, since a signal may arrive while another message is printed.
-        os.write(2, MESSAGE)
+        if number == signal.SIGINT:
+            # One write, since a signal may arrive while another message is printed.
+            os.write(2, MESSAGE)
 
     def _restore(self) -> None:
         for number, handler in self._before.items():
