@@ -62,7 +62,9 @@ EXPECTATIONS: dict[str, Expectation] = {
     "brain_720_735": Expectation(allowed=((0.3, 0.0, 1.0, 0.5), (0.42, 0.1, 0.68, 0.72)), max_displacement=0.2),
     "brain_900_930": NOTHING_MOVES,
     # Food boxes before a static structured-light camera.
-    "maizena2f_c1_004_005": Expectation({"box": (0.47, 0.38, 0.60, 0.62)}, cameras=("static",), min_cover=0.6),
+    "maizena2f_c1_004_005": Expectation(
+        {"whole box": (0.49, 0.40, 0.585, 0.605)}, cameras=("static",), min_cover=0.85
+    ),
     "maizena2f_c1_010_011": Expectation({"box": (0.23, 0.55, 0.40, 0.85)}, cameras=("static",)),
     "maizena2f_c2_003_004": Expectation({"box": (0.49, 0.17, 0.63, 0.46)}, cameras=("static",)),
     "maizena2f_c2_005_006": Expectation({"box": (0.61, 0.30, 0.77, 0.56)}, cameras=("static",)),
