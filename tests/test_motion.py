@@ -238,3 +238,17 @@ def test_paths_that_are_not_result_folders_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "nowhere", tmp_path / "file", "nul\0byte"):
         with pytest.raises(ResultError, match="not a result folder"):
             SceneMotion.load(path)
+
+
+def test_notes_and_the_state_of_the_camera_survive_a_round_trip(tmp_path: Path) -> None:
+    flow = np.full((6, 8, 3), np.nan, np.float32)
+    notes = ("camera: unknown: nothing fits", "light: exposure changed")
+    unknown = SceneMotion(np.zeros((6, 8), np.int32), flow, camera_known=False, notes=notes)
+    states = {"unknown": unknown, "static": make_motion(camera_motion=None), "moving": make_motion()}
+    for state, motion in states.items():
+        motion.save(tmp_path / state)
+        loaded = SceneMotion.load(tmp_path / state)
+        assert loaded.camera == motion.camera == state
+        assert loaded.notes == motion.notes
+        assert json.loads((tmp_path / state / "objects.json").read_text())["camera"] == state
+    assert unknown != SceneMotion(unknown.labels, flow)

@@ -127,3 +127,24 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == "[]"
+
+
+def test_notes_on_the_camera_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Frames of two different places: the camera's motion is unknown, which is said in one line."""
+    rng = np.random.default_rng(0)
+    pair = tmp_path / "pair"
+    pair.mkdir()
+    for number, depth in ((0, 700), (1, 2400)):
+        color = cv2.resize(rng.integers(0, 255, (24, 32, 3), dtype=np.uint8), (160, 120))
+        cv2.imwrite(str(pair / f"color{number}.png"), color)
+        cv2.imwrite(str(pair / f"depth{number}.png"), np.full((120, 160), depth, np.uint16))
+    camera = {"width": 160, "height": 120, "fx": 150.0, "fy": 150.0, "cx": 79.5, "cy": 59.5, "depth_scale": 1000}
+    (pair / "camera.json").write_text(json.dumps(camera))
+    assert main(["estimate", str(pair), "--method", "consensus", "--out", str(tmp_path / "out")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    motion = SceneMotion.load(tmp_path / "out")
+    assert motion.camera == "unknown"
+    assert [line for line in lines if line.startswith("note: camera: unknown: ")] == [f"note: {motion.notes[0]}"]
+    assert main(["run", str(pair), "--method", "consensus", "--out", str(tmp_path / "run")]) == 0
+    assert "the camera's motion is unknown in 1" in capsys.readouterr().out
+    assert (tmp_path / "run" / "summary.csv").read_text().splitlines()[1].split(",")[5] == "unknown"

@@ -63,6 +63,8 @@ class Estimate(ViewArguments, ResultArguments, MethodArguments):
             motion = dataclasses.replace(estimator(prev, curr), frames=location(frames))
             write_result(folder, curr, motion, pictures=self.pictures, exports=self.export)
             viewer.show(partial(pair_frames, prev, curr, motion))
+        for note in motion.notes:
+            print(f"note: {note}")
         for change in motion.changes:
             print(change)
         print_objects(motion)

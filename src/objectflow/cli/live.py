@@ -116,5 +116,5 @@ def step_line(step: Step) -> str:
         if obj.id in step.tracks:
             speed, rate = 100 * obj.displacement / seconds, obj.rotation_deg / seconds
             parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {rate:.0f} deg/s")
-    objects = ", ".join(parts) or "no motion"
+    objects = ", ".join(parts) or ("camera unknown" if step.motion.camera == "unknown" else "no motion")
     return f"{step.times[1]:.2f} s  (latency {step.latency:.2f} s, {step.dropped} dropped)  {objects}"

@@ -241,6 +241,9 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     seconds = statistics.median(float(row[6]) for row in rows)
     again = f", {skipped} of them done before" if skipped else ""
     console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
+    unknown = sum(row[5] == "unknown" for row in rows)
+    if unknown:
+        console.print(f"note: the camera's motion is unknown in {unknown}, so no object is reported there")
 
 
 def _report(out: Path, notes: tuple[str, ...], left_out: dict[int, ReaderError | FrameError]) -> None:
@@ -265,6 +268,6 @@ def _row(pair: tuple[int, int], motion: SceneMotion) -> tuple[str, ...]:
         str(len(motion.objects)),
         str(len(moving)),
         f"{largest:.1f}",
-        f"{camera:.1f}",
+        "unknown" if motion.camera == "unknown" else f"{camera:.1f}",
         f"{motion.seconds:.2f}",
     )

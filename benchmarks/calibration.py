@@ -1,0 +1,120 @@
+"""Whether scores mean what they say, on a generated set: `python benchmarks/calibration.py --data data --split val`.
+
+Prints a reliability table: for every bin of scores the number of objects that were predicted to move, and the share of
+them whose motion is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+import tyro
+from rich.progress import track
+
+import objectflow
+from objectflow import geometry
+from objectflow.dataset.moving_objects import keep_labels
+from objectflow.evaluation.data.sources import open_set
+from objectflow.evaluation.data.truth import PairTruth, TrueObject
+from objectflow.evaluation.metrics.region_matching import assign_regions, compare
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.typing import Float32Array
+
+BINS = (0.0, 0.3, 0.5, 0.7, 0.9, 1.0)
+"""Edges of the bins of scores; the last bin includes 1."""
+MAX_ERROR = 0.01
+"""Metres: mean displacement error of the true object's points up to which a motion is right."""
+MAX_RELATIVE_ERROR = 0.2
+"""The same as a share of the object's true displacement against the background."""
+MIN_INSIDE = 0.5
+"""Share of a predicted mask that must lie on the true mover with which it is matched."""
+
+
+@dataclass
+class Settings:
+    """The reliability table of a method's scores."""
+
+    data: Path
+    """Folder of a generated set."""
+    split: str = "val"
+    """Its split."""
+    limit: int = 100
+    """Largest number of pairs."""
+    method: str = "rigidmatch"
+    """Name of the method."""
+    camera: Literal["auto", "static", "moving"] = "auto"
+    """See `objectflow estimate --camera`."""
+
+
+class ScoredMover(NamedTuple):
+    """An object that was predicted to move: its score, and whether its motion is right."""
+
+    score: float
+    right: bool
+
+
+def main(settings: Settings) -> None:
+    pairs = open_set(str(settings.data), split=settings.split)
+    estimator = objectflow.load(settings.method, camera=settings.camera)
+    keys = pairs.keys[: settings.limit]
+    movers: list[ScoredMover] = []
+    for key in track(keys, "pairs"):
+        pair = pairs.pair(key)
+        points = geometry.back_project(pair.curr.depth, pair.curr.camera)
+        movers += judge_movers(estimator(pair.prev, pair.curr), pair.truth, points)
+    print(f"{settings.method} on {len(keys)} pairs of {settings.data.name}, camera={settings.camera}\n")
+    print("\n".join(reliability_rows(movers)))
+
+
+def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) -> Iterator[ScoredMover]:
+    """Compare every object that was predicted to move with the true mover that it matches.
+
+    Args:
+        motion: the prediction.
+        truth: of the pair.
+        points: (H, W, 3) metres of the current frame.
+    """
+    true = keep_labels(truth.labels, truth.moving)
+    guess = keep_labels(motion.labels, {obj.id for obj in motion.moving})
+    regions = compare(true, guess).without_background()
+    matched = {int(regions.predicted_ids[j]): int(regions.true_ids[i]) for i, j in assign_regions(regions)}
+    by_label = {obj.label: obj for obj in truth.objects}
+    for obj in motion.moving:
+        label = matched.get(obj.id)
+        mask = motion.labels == obj.id
+        right = label is not None and (true[mask] == label).mean() >= MIN_INSIDE
+        if right and label is not None:
+            seen = points[true == label]
+            right = is_right(obj, by_label[label], seen[np.isfinite(seen[:, 2])], truth)
+        yield ScoredMover(obj.score, bool(right))
+
+
+def is_right(found: ObjectMotion, true: TrueObject, points: Float32Array, truth: PairTruth) -> bool:
+    """Whether a motion carries the points (N, 3) of a true object to where they were, within the limits."""
+    if not len(points):
+        return False
+    before = geometry.transform(true.prev_T_curr, points)
+    background = truth.background_prev_T_curr
+    at_rest = points if background is None else geometry.transform(background, points)
+    displacement = np.linalg.norm(before - at_rest, axis=1).mean()
+    error = np.linalg.norm(geometry.transform(found.prev_T_curr, points) - before, axis=1).mean()
+    return bool(error <= max(MAX_ERROR, MAX_RELATIVE_ERROR * displacement))
+
+
+def reliability_rows(movers: list[ScoredMover]) -> Iterator[str]:
+    """Lines of a Markdown table: score, number of movers, share whose motion is right."""
+    yield "| score | movers | right |"
+    yield "|---|---|---|"
+    for low, high in pairwise(BINS):
+        inside = [one.right for one in movers if low <= one.score < high or (high == BINS[-1] and one.score == high)]
+        share = f"{np.mean(inside):.0%}" if inside else "-"
+        yield f"| {low:g} to {high:g} | {len(inside)} | {share} |"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
