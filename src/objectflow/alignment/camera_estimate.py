@@ -49,6 +49,8 @@ class CameraCheckSettings(Settings):
     """See `min_match_ratio_static`."""
     min_supported_ratio: float = setting(0.25, minimum=0, maximum=1)
     """See `min_match_ratio`."""
+    min_pixels: int = setting(100, minimum=0)
+    """Fewest pixels with depth from which the image can contradict a motion."""
     min_visible: float = setting(0.15, minimum=0, maximum=1)
     """Share of the pixels that the previous frame must show; otherwise the camera is unknown."""
     ambiguous_share: float = setting(0.15, minimum=0, maximum=1)
@@ -155,7 +157,7 @@ def _judged(
             other.sum() > settings.ambiguous_share * visible.sum() and static_ratio > settings.ambiguous_static_ratio
         )
     valid = int(equal.at_width(settings.width).curr.valid.sum())
-    if valid == 0:  # nothing contradicts
+    if valid < settings.min_pixels:  # nothing contradicts
         return CameraEstimate(state, moved, equal, light=light)
     least, share = settings.min_matches, settings.min_match_ratio
     if moved is None:

@@ -18,7 +18,7 @@ from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError, SettingsError
 from objectflow.methods.network_io import MAX_BATCH, same_size_groups, scaled_size
-from objectflow.methods.postprocess.pipeline import STEPS
+from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.rigidmatch.decoding import decode, matched_flow, select
 from objectflow.motion import SceneMotion
 from objectflow.networks import export
@@ -201,7 +201,7 @@ def test_explain_records_a_line_per_step(tmp_path: Path) -> None:
 
     silent, explained = estimate(), estimate(explain=True)
     assert silent.changes == ()
-    assert [line.partition(": ")[0] for line in explained.changes] == list(STEPS)
+    assert [line.partition(": ")[0] for line in explained.changes] == list(PostprocessSettings().steps)
     assert all("\n" not in line and line.partition(": ")[2] for line in explained.changes)
     assert any("nothing changed" not in line for line in explained.changes)
     np.testing.assert_array_equal(silent.labels, explained.labels)

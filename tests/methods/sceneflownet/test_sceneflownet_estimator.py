@@ -19,6 +19,7 @@ from objectflow import RgbdFrame, geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError, SettingsError
 from objectflow.geometry.resample import nearest_indices
+from objectflow.methods.labels import with_surface_centers
 from objectflow.methods.network_io import scaled_size, to_tensors
 from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.methods.sceneflownet.estimator import SceneFlowEstimator
@@ -79,7 +80,8 @@ def test_true_maps_give_exact_masks_motions_and_flow(weights: Path, rigid: str) 
     np.testing.assert_array_equal(np.vectorize({0: 0, **names}.get)(motion.labels), pair.labels)
     check_motions(motion, pair, names, 1e-5)
     for obj in motion.objects:
-        np.testing.assert_allclose(obj.center, pair.centers[names[obj.id]], atol=1e-6)
+        surface = geometry.back_project(pair.curr.depth, pair.curr.camera)[(motion.labels == obj.id) & pair.curr.valid]
+        np.testing.assert_allclose(obj.center, surface.mean(axis=0), atol=1e-5)
     np.testing.assert_array_equal(np.isnan(motion.scene_flow).any(-1), ~pair.curr.valid)
     seen = pair.curr.valid
     np.testing.assert_allclose(motion.scene_flow[seen], pair.scene_flow[seen], atol=2e-6)
@@ -135,7 +137,10 @@ def test_decode_is_what_the_estimator_does_without_resizing(weights: Path) -> No
         one, other = decode(maps, points, rigid=rigid), expected(pair.prev, pair.curr)
         np.testing.assert_array_equal(one.labels, other.labels)
         np.testing.assert_array_equal(one.scene_flow, other.scene_flow)
-        assert [a.to_dict() for a in one.objects] == [b.to_dict() for b in other.objects]
+        centered = with_surface_centers(
+            one.labels, one.objects, geometry.back_project(pair.curr.depth, pair.curr.camera)
+        )
+        assert [a.to_dict() for a in centered] == [b.to_dict() for b in other.objects]
     with pytest.raises(MethodError, match="one pair's maps and points are needed"):
         decode(maps, points[..., :-1])
     with pytest.raises(MethodError, match="rigid must be none or average here, not 'refine'"):
