@@ -212,7 +212,7 @@ def test_settings_go_through_json() -> None:
     ("values", "message"),
     [
         ({"deep": 3}, "unknown network setting 'deep'"),
-        ({"reach": -1}, "reach must be at least 0"),
+        ({"reach": -1}, "reach must lie in 0..[0-9]+, not -1"),
         ({"reach": "10"}, "reach must be of type int"),
         ({"reach": True}, "reach must be of type int"),
         ({"down": 3}, "down must be a list"),
