@@ -60,6 +60,8 @@ class RunTracks:
             self.tracker.reset()
         self._last = curr_index
         ids = self.tracker.update(self._times[prev_index], curr, self._times[curr_index], motion)
+        if not self.tracker.world_T_camera:  # the camera is lost
+            return TrackMarks(ids, {})
         curr_T_world = geometry.inverse(self.tracker.world_T_camera[-1])
         trails = {}
         for track in self.tracker.tracks:

@@ -107,7 +107,8 @@ def tracked_frames(
         motion: between the frames.
         numbers, seconds: of both frames.
     """
-    world_T_prev, world_T_curr = tracker.world_T_camera[-2:]
+    # A lost camera has no poses.
+    world_T_prev, world_T_curr = tracker.world_T_camera[-2:] or (np.eye(4), np.eye(4))
     by_track = {track: obj for obj in motion.objects for label, track in tracks.items() if label == obj.id}
     before, after = [], []
     for track in tracker.tracks:

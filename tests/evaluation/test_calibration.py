@@ -1,0 +1,42 @@
+"""The reliability table: which motions are right, and in which bin they count."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+import analytic
+import calibration
+from helpers.truths import true_objects, truth_of_scene
+from objectflow import SceneMotion, geometry
+
+
+def test_right_and_wrong_motions_are_told_apart() -> None:
+    """One true motion, one that is 1 mm off, and one that is 5 cm off."""
+    scene = analytic.make_scene(53, objects=(3, 3))
+    points = geometry.back_project(scene.curr.depth, scene.curr.camera)
+    shifts = dict(zip((obj.id for obj in true_objects(scene)), (0.0, 0.001, 0.05), strict=True))
+    objects = tuple(
+        dataclasses.replace(
+            obj,
+            score=0.9 if shifts[obj.id] < 0.01 else 0.4,
+            prev_T_curr=geometry.make_transform(np.eye(3), [shifts[obj.id], 0.0, 0.0]) @ obj.prev_T_curr,
+        )
+        for obj in true_objects(scene, all_moving=True)
+    )
+    motion = SceneMotion(scene.labels, scene.scene_flow, objects)
+    found = list(calibration.judge_movers(motion, truth_of_scene(scene), points))
+    assert [one.right for one in found] == [True, True, False]
+    # An object beside every true mover is wrong, whatever its motion.
+    elsewhere = (scene.labels == 0).astype(np.int32)
+    beside = SceneMotion(elsewhere, scene.scene_flow, (dataclasses.replace(objects[0], id=1),))
+    assert [one.right for one in calibration.judge_movers(beside, truth_of_scene(scene), points)] == [False]
+    rows = list(calibration.reliability_rows(found))
+    assert rows[2:] == [
+        "| 0 to 0.3 | 0 | - |",
+        "| 0.3 to 0.5 | 1 | 0% |",
+        "| 0.5 to 0.7 | 0 | - |",
+        "| 0.7 to 0.9 | 0 | - |",
+        "| 0.9 to 1 | 2 | 100% |",
+    ]
