@@ -102,7 +102,7 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
                 motion = compose(
                     next(static), pair.curr.points, camera.prev_T_curr, self.scale_error, tolerance=tolerance
                 )
-            motions.append(dataclasses.replace(motion, notes=camera.notes))
+            motions.append(dataclasses.replace(motion, notes=camera.notes, method=motion.method or self._name))
         seconds = (time.perf_counter() - start) / max(1, len(pairs))
         return [
             dataclasses.replace(
@@ -113,6 +113,11 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
             )
             for pair, motion in zip(pairs, motions, strict=True)
         ]
+
+    @property
+    def _name(self) -> str:
+        """The method's name, for results that no method made."""
+        return str(getattr(self, "METHOD", ""))
 
     def _compensate(self, pair: FramePair) -> _Compensated:
         """The pair as a static camera would have seen it, in one light and with the noise of its depth."""

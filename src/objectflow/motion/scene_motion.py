@@ -152,7 +152,7 @@ class SceneMotion:
     def camera_text(self) -> str:
         """The camera's motion in words."""
         if self.camera_motion is None:
-            return "camera static"
+            return f"camera {self.camera}"
         return f"camera moved {100 * self.camera_displacement:.1f} cm, {self.camera_rotation_deg:.1f} deg"
 
     def own_flow(self, frame: RgbdFrame) -> Float32Array:
