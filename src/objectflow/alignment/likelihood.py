@@ -52,7 +52,7 @@ class LikelihoodSettings(Settings):
     contrast_tolerance: float = setting(0.35, minimum=0)
     """Share of the local contrast that is added to each of these tolerances; it allows for half a pixel at edges."""
 
-    light_cost: float = setting(0.6, minimum=0)
+    light_cost: float = setting(0.3, minimum=0)
     """Cost of a change of light, such as a shadow: what the colours of a surface that stood still cost at least, where
     only the amount of light may have changed."""
     light_sigmas: float = setting(2.0, minimum=0)
