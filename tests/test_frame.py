@@ -102,7 +102,7 @@ def test_a_crop_need_not_contain_the_principal_point() -> None:
 @pytest.mark.parametrize(
     ("crop", "message"),
     [
-        ((-1, 0, 8, 8), "of the 16x12 image must .* start inside it"),
+        ((-1, 0, 8, 8), "start inside the 16x12 image"),
         ((9, 0, 8, 8), "leaves"),
         ((0, 5, 8, 8), "leaves"),
         ((2, 2, 0, 5), "whole and positive"),

@@ -133,8 +133,8 @@ class Camera:
             raise CameraError(f"a crop needs four numbers of pixels, not {reprlib.repr((x, y, width, height))}")
         if not (x >= 0 and y >= 0 and width >= 1 and height >= 1):  # written so that NaN fails too
             raise CameraError(
-                f"crop {width}x{height}+{x}+{y} of the {self.width}x{self.height} image must have a whole, positive "
-                "size and start inside it"
+                f"crop {width}x{height}+{x}+{y} must have a whole and positive size and start inside the "
+                f"{self.width}x{self.height} image"
             )
         if x + width > self.width or y + height > self.height:
             raise CameraError(f"crop {width}x{height}+{x}+{y} leaves the {self.width}x{self.height} image")
