@@ -39,7 +39,14 @@ def reassign_pixels(
     small = pair.at_width(settings.likelihood.width)
     likelihood = PairLikelihood.of(pair, settings.likelihood)
     old = likelihood.downscale(labels)
-    movers = [obj for obj in objects if obj.moving and _is_explained(likelihood, old, obj, settings.reassign)]
+    moving = np.isin(old, [obj.id for obj in objects if obj.moving])
+    movers = [
+        obj
+        for obj in objects
+        if obj.moving
+        and not _touches(old == obj.id, moving, settings.reassign)
+        and _is_explained(likelihood, old, obj, settings.reassign)
+    ]
     new = old
     if movers:
         new = _assigned(small, old, objects, movers, settings)
@@ -49,6 +56,16 @@ def reassign_pixels(
     nearest = new[rows[:, None], columns]
     full = np.where(pair.curr.frame.valid, full, np.where(nearest == labels, labels, full))
     return relabel_present(full.astype(np.int32), objects)
+
+
+def _touches(mask: BoolMask, moving: BoolMask, settings: ReassignSettings) -> bool:
+    """Whether another mover lies beside a mask.
+
+    Motions in a pile resemble each other too much to divide pixels between them better than the network does.
+    """
+    size = 2 * settings.neighbour_px + 1
+    near = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    return bool((near & moving & ~mask).any())
 
 
 def _is_explained(

@@ -217,6 +217,8 @@ class ReassignSettings(Settings):
     """Cost up to which a pixel counts as explained."""
     min_inlier_ratio: float = setting(0.5, minimum=0, maximum=1)
     """Share of its mask that an object's motion must explain to take part; other masks stay as they are."""
+    neighbour_px: int = setting(2, minimum=0)
+    """Pixels, at the width of the likelihood, within which another mover keeps an object's mask as it is."""
     own_mask: float = setting(2.0, minimum=0)
     """Cost that an object's motion is spared within its mask."""
     growth: float = setting(3.0, minimum=0)
