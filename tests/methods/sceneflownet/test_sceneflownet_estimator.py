@@ -1,22 +1,20 @@
-"""The paper's networks as estimators: exact with true maps, batches, settings, and the files that they reject."""
+"""The paper's networks as estimators: exact with true maps, settings, and the files that they reject."""
 
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
 import analytic
 import objectflow
+from helpers.network_scenes import moving_pairs, scene
 from helpers.small_networks import TINY, save
 from objectflow import RgbdFrame, geometry
-from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import MethodError, SettingsError
 from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.labels import with_surface_centers
@@ -24,7 +22,6 @@ from objectflow.methods.network_io import scaled_size, to_tensors
 from objectflow.methods.sceneflownet.decoding import decode
 from objectflow.methods.sceneflownet.estimator import SceneFlowEstimator
 from objectflow.motion import SceneMotion
-from objectflow.networks import SceneFlowNet, SceneFlowNetOutput
 from objectflow.typing import LabelImage
 from true_maps import Truth
 
@@ -34,15 +31,6 @@ NAME = "sceneflownet-c-vl"
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-
-
-@cache
-def scene(width: int = 160, height: int = 120) -> analytic.AnalyticPair:
-    pair = analytic.make_scene(5, objects=(4, 4), width=width, height=height)
-    depth = pair.curr.depth.copy()
-    depth[height // 3 : height // 2, width // 2 : width // 2 + 9] = 0
-    depth[::11, ::7] = 0
-    return dataclasses.replace(pair, curr=dataclasses.replace(pair.curr, depth=depth))
 
 
 def truthful(weights: Path, pair: analytic.AnalyticPair, labels: LabelImage, **options: Any) -> Any:
@@ -336,15 +324,6 @@ def test_frames_almost_without_depth_have_a_result(weights: Path) -> None:
     assert np.isnan(motion.scene_flow).any(-1).sum() == depth.size - 1
 
 
-def moving_pairs() -> tuple[analytic.AnalyticPair, analytic.AnalyticPair]:
-    """One scene from a static and from a moving camera."""
-    motion = np.eye(4)
-    motion[:3, :3] = Rotation.from_euler("xyz", (2, -2, 1), degrees=True).as_matrix()
-    motion[:3, 3] = (0.02, -0.01, 0.02)
-    options: dict[str, Any] = {"objects": (4, 4), "width": 160, "height": 120}
-    return analytic.make_scene(5, **options), analytic.make_scene(5, camera_motion=motion, **options)
-
-
 def test_the_cameras_motion_is_compensated_and_composed(weights: Path) -> None:
     static, moved = moving_pairs()
     estimator: Any = objectflow.load(NAME, weights=weights)
@@ -356,48 +335,3 @@ def test_the_cameras_motion_is_compensated_and_composed(weights: Path) -> None:
     for obj in found.objects:
         true = moved.prev_T_curr[int(np.bincount(moved.labels[found.labels == obj.id]).argmax())]
         np.testing.assert_allclose(obj.prev_T_curr, true, atol=0.01)
-
-
-# --- batches ---
-
-
-class Foreground(torch.nn.Module):
-    """A network with random weights, of which 40% of the pixels are foreground; by itself it may have none."""
-
-    def __init__(self, inner: SceneFlowNet) -> None:
-        super().__init__()
-        self.inner = inner
-
-    def forward(self, *images: torch.Tensor) -> SceneFlowNetOutput:
-        maps: SceneFlowNetOutput = self.inner(*images)
-        difference = maps.mask[:, 1:] - maps.mask[:, :1]
-        level = difference.flatten(1).quantile(0.6, dim=1)[:, None, None, None]
-        mask = torch.cat([torch.zeros_like(difference), 20 * (difference - level)], dim=1)
-        return maps._replace(mask=mask, radius=torch.full_like(maps.radius, 0.05))
-
-
-@pytest.mark.parametrize("rigid", ["none", "average", "refine"])
-def test_a_batch_equals_its_pairs_one_by_one(weights: Path, rigid: str) -> None:
-    """Frames of two sizes from a static camera, and one pair from a moving one."""
-    estimator: Any = objectflow.load(NAME, weights=weights, rigid=rigid, device="cpu")
-    object.__setattr__(estimator, "network", Foreground(estimator.network))
-    calls: list[int] = []
-    predict = estimator.predict
-    object.__setattr__(estimator, "predict", lambda prev, curr: calls.append(len(prev)) or predict(prev, curr))
-    scenes = [scene(), scene(160, 90), *moving_pairs()]
-    found = estimator.estimate_batch([FramePair(pair.prev, pair.curr) for pair in scenes])
-    assert sorted(calls) == [1, 3]  # one evaluation per size
-    assert [motion.camera_motion is not None for motion in found] == [False, False, False, True]
-    assert sum(len(motion.objects) for motion in found) >= 4
-    for pair, motion in zip(scenes, found, strict=True):
-        alone = estimator(pair.prev, pair.curr)
-        np.testing.assert_array_equal(motion.labels, alone.labels)
-        np.testing.assert_allclose(motion.scene_flow, alone.scene_flow, atol=1e-5)
-        assert len(motion.objects) == len(alone.objects)
-        for one, other in zip(motion.objects, alone.objects, strict=True):
-            assert (one.id, one.pixels, one.moving) == (other.id, other.pixels, other.moving)
-            np.testing.assert_allclose(one.prev_T_curr, other.prev_T_curr, atol=1e-5)
-            np.testing.assert_allclose(one.center, other.center, atol=1e-5)
-            assert one.score == pytest.approx(other.score, abs=1e-5)
-        assert motion.settings == alone.settings
-    assert estimator.estimate_batch([]) == []

@@ -6,120 +6,32 @@ import gc
 import importlib.metadata
 import sys
 import weakref
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from helpers.cube_scenes import (
+    AMBIENT,
+    CUBE,
+    CUBE_FACES,
+    DIFFUSE,
+    GREY,
+    HEIGHT,
+    WIDTH,
+    add_object,
+    cube_scene,
+    empty_scene,
+    look_at,
+    poses,
+)
 from objectflow.errors import DatasetError, MissingExtraError, ObjectflowError
-from objectflow.geometry import back_project
 from objectflow.synth.objects.procedural import ProceduralLibrary
 from objectflow.synth.rendering.camera_rays import camera_of, pixel_rays
 from objectflow.synth.rendering.renderer import Renderer
-from objectflow.synth.scenes.scene_data import Light
-from objectflow.typing import Float64Array, UInt8Array
 
 mujoco = pytest.importorskip("mujoco", reason="rendering needs the extra [synth]")
 pytest.importorskip("mujoco_warp", reason="rendering needs the extra [synth]")
-
-
-WIDTH, HEIGHT = 96, 72
-AMBIENT, DIFFUSE = 0.25, 0.5
-
-
-def look_at(eye: tuple[float, float, float], target: tuple[float, float, float]) -> Float64Array:
-    """world_T_camera, x right, y down, z forward."""
-    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
-    right = np.cross(forward, (0, 0, 1) if abs(forward[2]) < 0.999 else (0, 1, 0))
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = eye
-    return pose
-
-
-def empty_scene(light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
-    """A floor, a camera with an off-centre principal point, and four lights, two of them off."""
-    spec = mujoco.MjSpec()
-    spec.visual.headlight.active = False
-    world = spec.worldbody
-    world.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.1], rgba=[1, 1, 1, 1])
-    world.add_camera(
-        name="camera",
-        resolution=[WIDTH, HEIGHT],
-        focal_pixel=[71, 70],
-        sensor_size=[WIDTH * 1e-4, HEIGHT * 1e-4],
-        principal_pixel=[3, -2],
-    )
-    for number in range(4):
-        world.add_light(
-            name=f"light_{number}",
-            type=mujoco.mjtLightType.mjLIGHT_POINT,
-            pos=light,
-            dir=[0, 0, -1],
-            active=number < 2,
-            castshadow=True,
-            attenuation=[1, 0, 0],
-            ambient=[AMBIENT / 2] * 3,
-            diffuse=[DIFFUSE / 2] * 3,
-            specular=[0, 0, 0],
-        )
-    return spec
-
-
-def add_object(
-    spec: Any, number: int, vertices: NDArray[Any], faces: NDArray[Any], uv: NDArray[Any], texture: UInt8Array
-) -> None:
-    """Add a textured object with a hull in group 3 that is twice its size and must not be visible."""
-    name = f"{number}"
-    spec.add_mesh(
-        name=f"seen_{name}",
-        uservert=vertices.astype(np.float32).ravel(),
-        userface=faces.astype(np.int32).ravel(),
-        usertexcoord=uv.astype(np.float32).ravel(),
-        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-    )
-    spec.add_mesh(name=f"hull_{name}", uservert=(2 * vertices).astype(np.float32).ravel())
-    image = spec.add_texture(
-        name=f"image_{name}",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        width=texture.shape[1],
-        height=texture.shape[0],
-        nchannel=3,
-    )
-    image.data = texture.tobytes()
-    material = spec.add_material(name=f"material_{name}", specular=0)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = f"image_{name}"
-    body = spec.worldbody.add_body(name=f"obj_{number}")
-    body.add_freejoint()
-    mesh = mujoco.mjtGeom.mjGEOM_MESH
-    body.add_geom(type=mesh, meshname=f"seen_{name}", material=f"material_{name}", group=0)
-    body.add_geom(type=mesh, meshname=f"hull_{name}", group=3)
-
-
-CUBE = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
-CUBE_FACES = np.array(
-    [
-        *[(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)],
-        *[(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)],
-    ]
-)
-GREY = np.full((4, 4, 3), 128, dtype=np.uint8)
-
-
-def cube_scene(half: float, light: tuple[float, float, float] = (0.3, -0.4, 1.5)) -> Any:
-    spec = empty_scene(light)
-    add_object(spec, 1, CUBE * half, CUBE_FACES, np.zeros((8, 2)), GREY)
-    return spec.compile()
-
-
-def poses(*positions: tuple[float, float, float]) -> Float64Array:
-    """(1, N, 4, 4) without rotation."""
-    result = np.tile(np.eye(4), (1, len(positions), 1, 1))
-    result[0, :, :3, 3] = positions
-    return result
 
 
 @pytest.fixture(scope="module")
@@ -363,46 +275,3 @@ def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, m
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=r"objectflow\[synth\]"):
         Renderer(8, 8)
-
-
-def test_images_with_their_own_cameras_equal_those_rendered_one_by_one(renderer: Renderer) -> None:
-    model = cube_scene(0.1)
-    places = np.concatenate([poses((0.0, 0.0, 0.1)), poses((0.1, -0.05, 0.2))])
-    cameras = np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0)), look_at((-0.2, 0.7, 0.6), (0, 0, 0.1))])
-    lamp = Light((0.3, -0.4, 1.5), (DIFFUSE / 2,) * 3, (0.0, 0.0, 0.0), (AMBIENT / 2,) * 3)
-    together = renderer.render_each(model, places, cameras, [(lamp, lamp)] * 2)
-    assert together.color.shape == (2, 1, HEIGHT, WIDTH, 3)
-    for k in (0, 1):
-        alone = renderer.render(model, places[k : k + 1], cameras[k : k + 1])
-        np.testing.assert_array_equal(together.color[k], alone.color[0])
-        np.testing.assert_array_equal(together.depth[k], alone.depth[0])
-        np.testing.assert_array_equal(together.labels[k], alone.labels[0])
-
-
-def test_each_image_has_its_own_light(renderer: Renderer) -> None:
-    model = cube_scene(0.1)
-    places = np.repeat(poses((0.0, 0.0, 0.1)), 3, axis=0)
-    cameras = np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0))] * 3)
-    dark = Light((0.3, -0.4, 1.5), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.2, 0.1, 0.05))
-    left, right = (Light((side, 0.0, 1.5), (0.3, 0.3, 0.3), (0.0, 0.0, 0.0), (0.1, 0.1, 0.1)) for side in (-1.0, 1.0))
-    seen = renderer.render_each(model, places, cameras, [(dark, dark), (left, left), (right, right)])
-    # The floor is white: without direct light it has the sum of the two lamps' ambient light.
-    floor = seen.color[0, 0][seen.labels[0, 0] == 0]
-    np.testing.assert_allclose(floor, np.broadcast_to([0.4 * 255, 0.2 * 255, 0.1 * 255], floor.shape), atol=1)
-    np.testing.assert_array_equal(seen.depth[1], seen.depth[2])
-    # A shadow falls away from its lamp: the lamp at -x casts it towards +x.
-    points = back_project(seen.depth[1, 0], camera_of(model, WIDTH, HEIGHT))
-    x = (points @ cameras[0, :3, :3].T + cameras[0, :3, 3])[..., 0]
-    shadows = (seen.color[1:, 0].mean(-1) < 80) & (seen.labels[1:, 0] == 0)
-    assert shadows.sum(axis=(1, 2)).min() > 30
-    assert x[shadows[0]].mean() > 0.1
-    assert x[shadows[1]].mean() < -0.1
-
-
-def test_poses_and_lamps_must_fit_the_images(renderer: Renderer) -> None:
-    model, cameras = cube_scene(0.1), np.stack([look_at((0.5, -0.6, 0.5), (0, 0, 0))] * 2)
-    lamp = Light((0.3, -0.4, 1.5), (0.2, 0.2, 0.2), (0.0, 0.0, 0.0), (0.2, 0.2, 0.2))
-    with pytest.raises(DatasetError, match=r"and \[2, 1\] lamps do not fit the scene: it needs .* and 2 lamps"):
-        renderer.render_each(model, np.repeat(poses((0, 0, 0)), 2, axis=0), cameras, [(lamp, lamp), (lamp,)])
-    with pytest.raises(DatasetError, match="do not fit the scene"):
-        renderer.render_each(model, poses((0, 0, 0)), cameras, [(lamp, lamp)] * 2)
