@@ -9,8 +9,9 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment import matching
 from objectflow.alignment.appearance import to_gray
-from objectflow.alignment.camera_estimate import estimate_camera
+from objectflow.alignment.camera_estimate import CameraEstimate, estimate_camera
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.light_change import LightChange
 from objectflow.diagnosis import depth as depth_checks
 from objectflow.diagnosis.finding import Finding
 from objectflow.diagnosis.registration import edge_alignment, estimate_offset
@@ -56,11 +57,15 @@ def examine(
     identical = check_identical(prev, curr)
     findings.append(identical)
     if identical.level == "fine":
-        prev_T_curr = estimate_camera(FramePair(prev, curr), seed=seed).prev_T_curr
-        findings.append(_exposure(prev, curr))
-        if prev_T_curr is None:
+        camera = estimate_camera(FramePair(prev, curr), seed=seed)
+        findings.append(_exposure(prev, curr, camera.light))
+        if camera.state == "unknown":
+            text = "no motion of the camera explains most of the image: take frames closer in time"
+            return [*findings, Finding("camera motion", "suspicious", text)]
+        findings.append(_noise(camera))
+        if camera.prev_T_curr is None:
             findings.append(_swapped(prev, curr))
-        findings += _motion(prev, curr, prev_T_curr)
+        findings += _motion(prev, curr, camera.prev_T_curr)
     return findings
 
 
@@ -125,7 +130,15 @@ def _alignment_within(color_of: RgbdFrame, depth_of: RgbdFrame, changed: BoolMas
         return float("nan")
 
 
-def _exposure(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
+def _noise(camera: CameraEstimate) -> Finding:
+    """Report the noise of the depth, measured where the colour did not change, at the median depth."""
+    depth = camera.pair.curr.frame.depth
+    z = float(np.median(depth[depth > 0]))
+    sigma = 1000 * float(camera.pair.noise.sigma(z))
+    return Finding("depth noise", "fine", f"standard deviation {sigma:.1f} mm at {z:.2f} m")
+
+
+def _exposure(prev: RgbdFrame, curr: RgbdFrame, light: LightChange | None) -> Finding:
     means = [float(frame.color.mean()) for frame in (prev, curr)]
     ratio = (means[1] + 1) / (means[0] + 1)
     text = f"mean intensity {means[0]:.0f}, then {means[1]:.0f}"
@@ -133,6 +146,8 @@ def _exposure(prev: RgbdFrame, curr: RgbdFrame) -> Finding:
         return Finding("exposure", "suspicious", f"{text}: fix exposure, gain and white balance")
     if min(means) < 3 or max(means) > 250:
         return Finding("exposure", "suspicious", f"{text}: too dark or too bright for matching")
+    if light is not None:
+        return Finding("exposure", "note", f"{text}: {light.words()}; methods match the colours")
     return Finding("exposure", "fine", text)
 
 

@@ -47,6 +47,8 @@ def recover_missed_objects(
         rounds=search.rounds,
         min_object_share=search.min_object_share,
         likelihood=settings.likelihood,
+        fit=settings.refine.fit,
+        registration=settings.refine.registration,
     )
     more = consensus.find(pair, known=known, others=others)
     first = max((obj.id for obj in objects), default=0)

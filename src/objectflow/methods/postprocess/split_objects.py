@@ -141,7 +141,7 @@ def _best_motion(
     initial = [first, np.eye(4)]
     matches = wide.matches[inside(part, wide.matches, frame.camera)]
     if len(matches.curr) >= settings.refine.min_matches:
-        initial.append(fitting.fit_matches(matches, frame.camera, noise=wide.noise)[0])
+        initial.append(fitting.fit_matches(matches, frame.camera, noise=wide.noise, settings=settings.refine.fit)[0])
     candidates = [first, np.eye(4), *(refine_one(wide.target, source, [one], settings.refine) for one in initial)]
     costs = [_cost(likelihood, motion, part) for motion in candidates]
     best = int(np.argmin(costs))

@@ -52,7 +52,7 @@ MIN_ARM_DISTANCE = 0.12
 MAX_ARM_SHARE = 0.45
 """Maximum share of an image that arms cover, 0..1."""
 OUT_OF_THE_WAY = np.array([0.0, 0.0, -30.0])
-"""Place of a shadow caster that is not used, metres: below the floor, in nobody's light."""
+"""Place of a shadow caster that is not used, metres: below the floor, where it casts no visible shadow."""
 
 
 @dataclass(frozen=True)
