@@ -66,11 +66,6 @@ def tenths_of_a_millimetre(pair: Pair) -> None:
     pair.depth = [10 * depth for depth in pair.depth]
 
 
-def forgotten_scale(pair: Pair) -> None:
-    """A camera file that states metres for depth in millimetres."""
-    pair.camera["depth_scale"] = 1
-
-
 def other_resolution(pair: Pair) -> None:
     """Intrinsics of the same camera at 320x240."""
     pair.camera |= {name: pair.camera[name] / 2 for name in ("fx", "fy", "cx", "cy")}
@@ -138,7 +133,6 @@ def moving_camera(pair: Pair) -> None:
 
 faults: dict[str, Callable[[Pair], None]] = {
     "tenths": tenths_of_a_millimetre,
-    "metres": forgotten_scale,
     "half_size": other_resolution,
     "unregistered": unregistered,
     "ray_length": ray_length,
