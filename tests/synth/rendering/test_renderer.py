@@ -273,5 +273,5 @@ def test_cuda_is_refused_on_a_machine_without_it() -> None:
 @pytest.mark.parametrize("missing", ["warp", "mujoco_warp"])
 def test_without_the_extra_the_error_names_it(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(MissingExtraError, match=r"objectflow\[synth\]"):
+    with pytest.raises(MissingExtraError, match=r'pip install ".+\[synth\]"'):
         Renderer(8, 8)
