@@ -52,7 +52,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 def use_everything(pair: FramePair) -> None:
     _ = pair.matches, pair.target, pair.sources
     for frame in (pair.prev, pair.curr):
-        _ = frame.points, frame.normals, frame.gray, frame.blurred, frame.appearance, frame.keypoints
+        _ = frame.points, frame.normals, frame.gray, frame.blurred, frame.appearance, frame.keypoints(1500, 0.02)
 
 
 def test_nothing_is_computed_before_it_is_used(calls: Counter[str]) -> None:
@@ -101,9 +101,9 @@ def test_parts_are_those_of_the_frames_themselves() -> None:
         norms = np.linalg.norm(prepared.normals, axis=-1)
         np.testing.assert_allclose(norms[np.isfinite(norms)], 1, atol=1e-5)
         assert np.mean(np.isfinite(norms)) > 0.8
-        words = prepared.keypoints.descriptors
+        words = prepared.keypoints(1500, 0.02).descriptors
         np.testing.assert_allclose(np.linalg.norm(words, axis=1), 1, atol=1e-4)
-        assert (prepared.keypoints.pixels >= 0).all()
+        assert (prepared.keypoints(1500, 0.02).pixels >= 0).all()
     small = pair.at_width(160).curr.frame
     expected = SCENE.curr.resized(160, 120)
     np.testing.assert_array_equal(small.color, expected.color)

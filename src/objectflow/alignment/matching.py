@@ -32,6 +32,11 @@ class MatchSettings(Settings):
     """Largest squared difference of forward and backward flow, relative to the sum of their squared lengths."""
     flow_error: float = setting(0.5, minimum=0)
     """Square pixels, added to that difference."""
+    max_features: int = setting(1500, minimum=1)
+    """Maximum number of SIFT features per frame."""
+    min_contrast: float = setting(0.02, minimum=0)
+    """SIFT's contrast threshold. It is low, since tables and packaging have little contrast, and the ratio test of
+    matching removes what is ambiguous."""
     max_descriptor_ratio: float = setting(0.85, above=0, maximum=1)
     """Largest distance of a feature to its match, relative to that of the second nearest feature."""
     surface_step_ratio: float = setting(0.02, minimum=0)
@@ -173,7 +178,7 @@ def feature_matches(
 ) -> PixelMatches:
     """Mutual SIFT matches that pass the ratio test; they span displacements too large for optical flow."""
     prev, curr = PreparedFrame.of(prev), PreparedFrame.of(curr)
-    here, there = curr.keypoints, prev.keypoints
+    here, there = (frame.keypoints(settings.max_features, settings.min_contrast) for frame in (curr, prev))
     if len(here.pixels) < 2 or len(there.pixels) < 2:
         empty = np.zeros((0, 2), np.float32)
         return lift(empty, empty, prev.frame, curr.frame)[0]

@@ -17,8 +17,6 @@ from objectflow.typing import BoolMask, Float32Array, UInt8Array
 GRAY_BLURS = (3.0, 1.0)
 """Standard deviations in pixels of the blurred grey images, coarse to fine: a coarse image has a wide basin of
 convergence, a fine one is exact."""
-MAX_FEATURES = 1500
-"""Maximum number of SIFT features per frame."""
 
 
 class Keypoints(NamedTuple):
@@ -43,6 +41,7 @@ class PreparedFrame:
     def __init__(self, frame: RgbdFrame) -> None:
         self.frame = frame
         self._resized: dict[tuple[int, int], PreparedFrame] = {}
+        self._keypoints: dict[tuple[int, float], Keypoints] = {}
 
     @classmethod
     def of(cls, frame: RgbdFrame | PreparedFrame) -> PreparedFrame:
@@ -95,14 +94,23 @@ class PreparedFrame:
         """Colour in channels that change little with the light."""
         return AppearanceFeatures(self.frame.color)
 
-    @cached_property
-    def keypoints(self) -> Keypoints:
-        """SIFT features of the grey image."""
-        # A low contrast threshold: tables and packaging have little contrast, and the ratio test of matching removes
-        # what is ambiguous.
-        sift = cv2.SIFT.create(nfeatures=MAX_FEATURES, contrastThreshold=0.02)
-        found, words = sift.detectAndCompute(self.gray, None)
-        if not len(found):
-            return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
-        root = np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7))
-        return Keypoints(np.array([key.pt for key in found], np.float32), np.asarray(root, dtype=np.float32))
+    def keypoints(self, max_features: int, min_contrast: float) -> Keypoints:
+        """SIFT features of the grey image.
+
+        Args:
+            max_features: number of features, of the strongest, that are kept.
+            min_contrast: SIFT's contrast threshold.
+        """
+        key = max_features, min_contrast
+        if key not in self._keypoints:
+            self._keypoints[key] = _detect(self.gray, max_features, min_contrast)
+        return self._keypoints[key]
+
+
+def _detect(gray: UInt8Array, max_features: int, min_contrast: float) -> Keypoints:
+    sift = cv2.SIFT.create(nfeatures=max_features, contrastThreshold=min_contrast)
+    found, words = sift.detectAndCompute(gray, None)
+    if not len(found):
+        return Keypoints(np.zeros((0, 2), np.float32), np.zeros((0, 128), np.float32))
+    root = np.sqrt(words / (words.sum(1, keepdims=True) + 1e-7))
+    return Keypoints(np.array([key.pt for key in found], np.float32), np.asarray(root, dtype=np.float32))

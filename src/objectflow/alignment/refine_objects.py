@@ -35,6 +35,8 @@ class RefineSettings(Settings):
     """Metres: a correction of the centre up to this, together with `max_rotation_deg`, is accepted at any fitness."""
     max_rotation_deg: float = setting(5.0, minimum=0)
     """Degrees: see `max_shift`."""
+    cost_sigmas: float = setting(3.0, above=0)
+    """Standard deviations of depth at which the squared distance of a point to the previous surface is truncated."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
     fit: FitSettings = FitSettings()
@@ -99,7 +101,7 @@ def refine_one(
     ]
     unchanged = registration.evaluate_registration(target, source, initial[0], settings.registration)
     candidates = [*found, unchanged]
-    return min(candidates, key=lambda one: depth_cost(one, target, source)).prev_T_curr
+    return min(candidates, key=lambda one: depth_cost(one, target, source, settings.cost_sigmas)).prev_T_curr
 
 
 def _is_plausible(
@@ -121,12 +123,19 @@ def depth_cost(
     found: registration.RegistrationResult,
     target: registration.RegistrationTarget,
     source: registration.RegistrationSource,
+    sigmas: float = DEFAULTS.cost_sigmas,
 ) -> float:
-    """Mean squared distance of the points to the previous surface, in square metres, truncated at three sigma.
+    """Mean squared distance of the points to the previous surface, in square metres, truncated.
 
     Points that the previous frame does not show cost as much as points that contradict it; otherwise a motion could
     win by hiding what it cannot explain.
+
+    Args:
+        found: the motion and how well it fits.
+        target: the previous frame.
+        source: the object's points.
+        sigmas: standard deviations of depth at which the distance is truncated.
     """
-    limit = 9 * float(target.noise.sigma(float(np.median(source.points[:, 2])))) ** 2
+    limit = (sigmas * float(target.noise.sigma(float(np.median(source.points[:, 2]))))) ** 2
     share = found.fitness * found.visible
     return limit if share == 0 else share * min(found.inlier_rmse**2, limit) + (1 - share) * limit

@@ -37,6 +37,8 @@ from objectflow.typing import Float32Array, Float64Array
 
 SCALE_ERROR = 0.1
 """Default of `CompensationConfig.scale_error`."""
+VIEW_TOLERANCE = 0.02
+"""Default of `CompensationConfig.view_tolerance`."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,9 @@ class CompensationConfig(Settings):
     scale_error: float = setting(SCALE_ERROR, minimum=0)
     """Error of an object's own motion relative to how far the camera moved past it: depth cameras are off in scale by
     a few percent, and so is the estimated motion of the camera."""
+    view_tolerance: float = setting(VIEW_TOLERANCE, minimum=0)
+    """Largest difference of depth, relative to depth and beside its noise, between the previous frame as the current
+    camera would have seen it and the previous image that it is sampled from."""
     error_factor: float = setting(2.0, minimum=0)
     """Factor on the median distance of matches from the camera's motion; objects that move by less are static."""
     matching: MatchSettings = MatchSettings()
@@ -134,7 +139,9 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         pair = camera.pair
         if camera.prev_T_curr is None:
             return _Compensated(pair, camera)
-        seen = as_seen_from(pair.prev.frame, camera.prev_T_curr, pair.curr.frame.camera, pair.noise)
+        seen = as_seen_from(
+            pair.prev.frame, camera.prev_T_curr, pair.curr.frame.camera, pair.noise, self.view_tolerance
+        )
         if seen is None:
             return _Compensated(None, camera)
         return _Compensated(FramePair(seen, pair.curr, noise=pair.noise, matching=pair.matching), camera)
@@ -175,7 +182,11 @@ def _camera_alone(pair: FramePair, prev_T_curr: Float64Array | None) -> SceneMot
 
 
 def as_seen_from(
-    prev: RgbdFrame, prev_T_curr: Float64Array, camera: Camera, noise: DepthNoise = STRUCTURED_LIGHT
+    prev: RgbdFrame,
+    prev_T_curr: Float64Array,
+    camera: Camera,
+    noise: DepthNoise = STRUCTURED_LIGHT,
+    view_tolerance: float = VIEW_TOLERANCE,
 ) -> RgbdFrame | None:
     """The previous frame rendered from the pose of the current camera.
 
@@ -188,6 +199,7 @@ def as_seen_from(
         prev_T_curr: the camera's motion, as the background's.
         camera: of the current frame.
         noise: of the depth.
+        view_tolerance: see `CompensationConfig`.
 
     Returns:
         A frame on `camera`'s pixels, or None if no point lies in its view.
@@ -199,7 +211,7 @@ def as_seen_from(
         return None
     closed = _close_cracks(thrown)
     in_prev = geometry.transform(prev_T_curr, geometry.back_project(closed, camera))
-    tolerance = 3 * noise.sigma(closed) + 0.02 * closed + 1e-6
+    tolerance = 3 * noise.sigma(closed) + view_tolerance * closed + 1e-6
     sampled = warping.warp_previous(prev, in_prev, tolerance=tolerance)
     # Along the ray of `in_prev`, at the depth that the previous camera measured there.
     with np.errstate(invalid="ignore", divide="ignore"):
