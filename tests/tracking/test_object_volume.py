@@ -10,7 +10,10 @@ from scipy.spatial import cKDTree
 
 from helpers.turning_solids import CAMERA, View, distance_to_surface, solid, turning
 from objectflow.errors import FrameError
+from objectflow.frame import RgbdFrame
+from objectflow.geometry import project
 from objectflow.tracking.object_volume import ObjectVolume, VolumeSettings
+from objectflow.tracking.volume_meshing import mesh_area
 
 SPHERE = solid("sphere", (0.06, 0.06, 0.06))
 BOX = solid("box", (0.05, 0.07, 0.04))
@@ -79,7 +82,7 @@ def test_views_through_a_voxel_remove_what_was_fused_wrongly() -> None:
     mask = np.zeros_like(wrong.mask)
     mask[100:130, 225:255] = True
     depth = np.where(mask, np.float32(1.0), wrong.frame.depth)
-    frame = type(wrong.frame)(wrong.frame.color, depth, CAMERA)
+    frame = RgbdFrame(wrong.frame.color, depth, CAMERA)
     volume.integrate(frame, mask, wrong.camera_T_object, free=np.zeros_like(mask))
     settings = volume.settings
     floating = np.linalg.norm(volume.surface().points, axis=1) > 0.1
@@ -128,3 +131,61 @@ def test_a_mask_of_another_size_is_refused() -> None:
     view = turning(BOX, 1)[0]
     with pytest.raises(FrameError, match="does not fit"):
         ObjectVolume().integrate(view.frame, view.mask[:-1], view.camera_T_object)
+
+
+def test_mesh_lies_on_the_solid_and_is_oriented(fused: tuple[str, list[View], ObjectVolume]) -> None:
+    name, views, volume = fused
+    mesh = volume.mesh()
+    distance = distance_to_surface(SOLIDS[name], mesh.vertices.astype(np.float64))
+    assert np.median(distance) < 0.0006
+    assert np.quantile(distance, 0.9) < 0.0015
+    seen = np.concatenate([view.points for view in views])
+    assert (cKDTree(mesh.vertices).query(seen[::11])[0] < 0.003).mean() > 0.85
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    outward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1)
+    assert (outward > 0).mean() > 0.98
+    radial = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    assert (((mesh.normals * radial).sum(axis=1)) > 0).mean() > 0.98
+
+
+def test_mesh_is_open_where_nothing_was_seen() -> None:
+    view = turning(SPHERE, 1)[0]
+    mesh = fuse([view]).mesh()
+    eye = -view.camera_T_object[:3, :3].T @ view.camera_T_object[:3, 3]
+    # A camera at distance d sees the cap of a sphere above r^2 / d.
+    height = mesh.vertices @ (eye / np.linalg.norm(eye))
+    assert height.min() > 0.06**2 / np.linalg.norm(eye) - 0.003
+    area, missing = mesh_area(mesh)
+    cap = 1 - height.min() / 0.06
+    assert area == pytest.approx(2 * np.pi * 0.06**2 * cap, rel=0.15)
+    rim = 0.06**2 - height.min() ** 2
+    assert missing == pytest.approx(np.pi * rim, rel=0.15)
+
+
+def test_colors_of_the_mesh_are_those_of_the_texture() -> None:
+    views = turning(SPHERE, 8, noise=0.0)
+    mesh = fuse(views).mesh()
+    view = views[4]
+    points = mesh.vertices @ view.camera_T_object[:3, :3].T + view.camera_T_object[:3, 3]
+    pixels = np.rint(project(points, CAMERA)).astype(int)
+    front = (mesh.normals @ view.camera_T_object[:3, :3].T * points).sum(axis=1) < -0.5
+    shown = view.frame.color[pixels[front, 1], pixels[front, 0]].astype(int)
+    assert np.median(np.abs(shown - mesh.colors[front])) < 25
+
+
+def test_detached_pieces_are_dropped() -> None:
+    views = turning(SPHERE, 6)
+    volume = fuse(views)
+    wrong = views[5]
+    mask = np.zeros_like(wrong.mask)
+    mask[100:112, 225:237] = True
+    frame = RgbdFrame(wrong.frame.color, np.where(mask, np.float32(1.0), wrong.frame.depth), CAMERA)
+    volume.integrate(frame, mask, wrong.camera_T_object, free=np.zeros_like(mask))
+    assert (np.linalg.norm(volume.surface().points, axis=1) > 0.1).sum() > 10
+    assert np.linalg.norm(volume.mesh().vertices, axis=1).max() < 0.07
+
+
+def test_empty_volume_has_an_empty_mesh() -> None:
+    mesh = ObjectVolume().mesh()
+    assert mesh.vertices.shape == (0, 3)
+    assert mesh.faces.shape == (0, 3)

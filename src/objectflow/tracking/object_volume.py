@@ -20,6 +20,7 @@ from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.normals import surface_normals
 from objectflow.settings import Settings, setting
 from objectflow.tracking.volume_grid import VolumeGrid, block_range, voxels_of_blocks
+from objectflow.tracking.volume_meshing import TriangleMesh, volume_mesh
 from objectflow.tracking.volume_rendering import Rendering, render_volume
 from objectflow.tracking.volume_surface import SurfacePoints, surface_points
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
@@ -54,6 +55,8 @@ class VolumeSettings(Settings):
     """Pixels around a mask that do not count as seen through."""
     free_weight: float = setting(0.25, minimum=0)
     """Weight of a view through a voxel."""
+    min_component: float = setting(0.1, minimum=0, maximum=1)
+    """Smallest area of a connected piece of the mesh, relative to the largest piece."""
     min_pixels: int = setting(40, minimum=1)
     """Number of usable pixels below which a mask is not fused."""
 
@@ -138,6 +141,15 @@ class ObjectVolume:
         if self._surface is None:
             self._surface = surface_points(self.grid, self.truncation, self.settings.min_weight)
         return self._surface
+
+    def mesh(self) -> TriangleMesh:
+        """The surface as a coloured mesh, without small detached pieces; see `volume_mesh`.
+
+        Raises:
+            MissingExtraError: scikit-image is not installed.
+        """
+        grid = VolumeGrid.empty(1.0, np.zeros(3, np.intp), (8, 8, 8)) if self.grid is None else self.grid
+        return volume_mesh(grid, self.truncation, self.settings.min_weight, self.settings.min_component)
 
     def render(self, camera: Camera, camera_T_object: Float64Array) -> Rendering:
         """What a camera sees of the surface; see `render_volume`."""
