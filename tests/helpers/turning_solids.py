@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -93,3 +96,15 @@ def distance_to_surface(shape: Solid, points: Float64Array) -> Float64Array:
     beyond = np.abs(points) - shape.size
     outside = np.linalg.norm(np.maximum(beyond, 0), axis=1)
     return np.asarray(np.where((beyond < 0).all(axis=1), -beyond.max(axis=1), outside))
+
+
+def write_recording(folder: Path, views: list[View]) -> None:
+    """Write views as a folder of numbered frames, with depth in tenths of a millimetre."""
+    for name in ("color", "depth"):
+        (folder / name).mkdir(parents=True)
+    for index, view in enumerate(views):
+        cv2.imwrite(str(folder / "color" / f"{index:04d}.png"), cv2.cvtColor(view.frame.color, cv2.COLOR_RGB2BGR))
+        depth = np.rint(10_000 * view.frame.depth).astype(np.uint16)
+        cv2.imwrite(str(folder / "depth" / f"{index:04d}.png"), depth)
+    camera = {**views[0].frame.camera.to_dict(), "depth_scale": 10_000}
+    (folder / "camera.json").write_text(json.dumps(camera))

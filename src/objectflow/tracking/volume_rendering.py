@@ -19,6 +19,9 @@ camera, so an oblique surface lies behind them."""
 SAMPLES = 11
 """Number of samples of the signed distance along a ray, less than a voxel apart."""
 
+MIN_SHARE = 0.2
+"""Smallest share of the interpolation between eight voxels that measured ones must have."""
+
 
 class Rendering(NamedTuple):
     """A rendered volume.
@@ -60,10 +63,13 @@ def render_volume(
     front = np.flatnonzero(facing & (points[:, 2] > 1e-3))
     nearest, owner = _splat(points[front], grid.voxel, camera)
     pixel = np.flatnonzero(owner >= 0)
-    owner = front[owner[pixel]]
-    z, hit = _refine(grid, truncation, camera, camera_T_object, pixel, nearest[pixel])
+    z, hit, position = _refine(grid, truncation, camera, camera_T_object, pixel, nearest[pixel])
     depth.reshape(-1)[pixel[hit]] = z[hit]
-    color.reshape(-1, 3)[pixel[hit]] = surface.colors[owner[hit]]
+    owner = front[owner[pixel[hit]]]
+    # The colour of the splat would be that of a neighbouring point, always toward the same side.
+    shade = _weighted_mean(grid, grid.color.reshape(-1, 3), position[hit])
+    shade = np.where(np.isfinite(shade), shade, surface.colors[owner])
+    color.reshape(-1, 3)[pixel[hit]] = np.clip(np.rint(shade), 0, 255).astype(np.uint8)
     return Rendering(depth, color, depth > 0)
 
 
@@ -103,8 +109,8 @@ def _refine(
     camera_T_object: Float64Array,
     pixel: IndexArray,
     start: Float32Array,
-) -> tuple[Float32Array, BoolMask]:
-    """The depth at which each ray first crosses the surface near a splat's depth, and whether it does.
+) -> tuple[Float32Array, BoolMask, Float32Array]:
+    """The first crossing of each ray with the surface near a splat's depth.
 
     Args:
         grid: the voxels.
@@ -113,6 +119,9 @@ def _refine(
         camera_T_object: (4, 4).
         pixel: (N,) flat indices of the pixels.
         start: (N,) metres: depth of the splat on each.
+
+    Returns:
+        (N,) metres: depth; (N,) whether there is a crossing; (N, 3) its fractional voxel index.
     """
     x = ((pixel % camera.width - camera.cx) / camera.fx).astype(np.float32)
     y = ((pixel // camera.width - camera.cy) / camera.fy).astype(np.float32)
@@ -133,30 +142,40 @@ def _refine(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(hit, a / (a - b), 0)
     z = depths[rows, step] + share.astype(np.float32) * (depths[:, 1] - depths[:, 0])
-    return z, hit
+    return z, hit, z[:, None] * slope + offset
 
 
 def _sample(grid: VolumeGrid, truncation: float, position: Float32Array) -> Float32Array:
-    """Trilinear signed distance at fractional voxel indices (..., 3); NaN where no voxel around was measured."""
+    """Signed distance at fractional voxel indices (N, K, 3); NaN where too little around was measured."""
+    flat = position.reshape(-1, 3)
+    values = _weighted_mean(grid, grid.values(truncation).reshape(-1, 1), flat)
+    return values.reshape(position.shape[:-1])
+
+
+def _weighted_mean(grid: VolumeGrid, values: Float32Array, position: Float32Array) -> Float32Array:
+    """Trilinear interpolation between measured voxels.
+
+    Args:
+        grid: the voxels.
+        values: (X Y Z, C) of the voxels.
+        position: (N, 3) fractional voxel indices.
+
+    Returns:
+        (N, C); NaN where the measured voxels around have less than a fifth of the interpolation's weight.
+    """
     base = np.floor(position)
     fraction = position - base
     corner = base.astype(np.intp)
-    total = np.zeros(position.shape[:-1], np.float32)
-    weight = np.zeros(position.shape[:-1], np.float32)
-    shape = grid.shape
-    measured, free, distance = grid.weight.reshape(-1), grid.free.reshape(-1), grid.distance.reshape(-1)
-    for dx in (0, 1):
-        for dy in (0, 1):
-            for dz in (0, 1):
-                at = corner + np.array((dx, dy, dz))
-                inside = ((at >= 0) & (at < shape)).all(axis=-1)
-                flat = (at[..., 0] * shape[1] + at[..., 1]) * shape[2] + at[..., 2]
-                flat = np.where(inside, flat, 0)
-                w, f = measured[flat], free[flat]
-                share = np.abs(1 - dx - fraction[..., 0]) * np.abs(1 - dy - fraction[..., 1])
-                share = share * np.abs(1 - dz - fraction[..., 2]) * (inside & (w > 0))
-                value = (w * distance[flat] + f * np.float32(truncation)) / np.maximum(w + f, np.float32(1e-12))
-                total += share * value
-                weight += share
+    total = np.zeros((len(position), values.shape[1]), np.float32)
+    weight = np.zeros(len(position), np.float32)
+    shape, measured = grid.shape, grid.weight.reshape(-1)
+    for offset in np.ndindex(2, 2, 2):
+        at = corner + np.array(offset)
+        inside = ((at >= 0) & (at < shape)).all(axis=1)
+        flat = np.where(inside, (at[:, 0] * shape[1] + at[:, 1]) * shape[2] + at[:, 2], 0)
+        share = np.abs(np.float32(1) - np.array(offset, np.float32) - fraction).prod(axis=1)
+        share *= inside & (measured[flat] > 0)
+        total += share[:, None] * values[flat]
+        weight += share
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(weight > 0.2, total / weight, np.float32(np.nan))
+        return np.where(weight > MIN_SHARE, total.T / weight, np.float32(np.nan)).T
