@@ -46,6 +46,9 @@ COMMANDS: dict[str, CommandEntry] = {
         "moving objects and scene flow of one pair of frames", "objectflow.cli.estimate", "Estimate"
     ),
     "run": CommandEntry("the same for all consecutive pairs of a sequence", "objectflow.cli.run", "Run", resumes=True),
+    "reconstruct": CommandEntry(
+        "the shapes of a run's objects as meshes", "objectflow.cli.reconstruct", "Reconstruct", resumes=True
+    ),
     "live": CommandEntry("track objects live, from a camera or a recording", "objectflow.cli.live", "Live"),
     "demo": CommandEntry("the packaged pair, compared with its ground truth", "objectflow.cli.demo", "Demo"),
     "generate": CommandEntry(

@@ -21,11 +21,14 @@ EXAMPLES = """\
   objectflow generate --out data --split test --sequences 30
   objectflow generate --out data --split train --pairs 25000 --shard 3/16
   objectflow generate --out own --pairs 100 --mesh-folder meshes --texture-folder photographs
+  objectflow generate --out pushes --preset clutter --split test --sequences 20 --frames 30
   objectflow generate --out clutter --preset clutter --pairs 1000 --mesh-folder meshes --mesh-share 0.3
   objectflow generate --out unseen --preset clutter --split test --pairs 40 --mesh-folder meshes --every-mesh
 """
 
 CLUTTER, TABLETOP = "clutter", "tabletop"
+MAX_SEQUENCE_FRAMES = 500
+"""Largest number of frames of a sequence, which fit one shard."""
 _RENAMED_PRESETS = {"wild": CLUTTER}
 """Former names of presets, which are still accepted."""
 
@@ -49,7 +52,10 @@ class Generate:
     """Number of pairs of frames. If the folder has fewer, only the missing ones are made."""
 
     sequences: int = 0
-    """Number of sequences of eight frames."""
+    """Number of sequences."""
+
+    frames: Annotated[int | None, option("N", "8; 30 in the preset clutter")] = None
+    """Number of frames of a sequence; another one than the default is for the preset clutter only."""
 
     views: int = 1
     """Number of cameras per scene; pairs of one scene are faster to make and are marked as siblings."""
@@ -99,7 +105,6 @@ class Generate:
         from objectflow.synth.generation.credits import write_credits
         from objectflow.synth.generation.generate import generate
         from objectflow.synth.generation.jobs import GenerationJob
-        from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
 
         if self.pairs < 1 and self.sequences < 1:
             raise DatasetError("nothing to generate: give --pairs N or --sequences N")
@@ -108,14 +113,18 @@ class Generate:
         if self.mesh_folder is None and (self.mesh_share != 1 or self.every_mesh or self.mesh_hulls):
             raise DatasetError("--mesh-share, --every-mesh and --mesh-hulls are about meshes: give --mesh-folder DIR")
         preset = _RENAMED_PRESETS.get(self.preset, self.preset)
-        if preset in (CLUTTER, TABLETOP) and self.sequences:
+        if preset == TABLETOP and self.sequences:
             raise DatasetError(f"the preset {preset} makes pairs: leave --sequences out")
+        if self.frames is not None and (preset != CLUTTER or not self.sequences):
+            raise DatasetError("--frames is for the sequences of the preset clutter: leave it out")
+        if self.frames is not None and not 2 <= self.frames <= MAX_SEQUENCE_FRAMES:
+            raise DatasetError(f"--frames must be from 2 to {MAX_SEQUENCE_FRAMES}, not {self.frames}")
         scenes = self._make_scenes(preset)
         jobs = []
         if self.pairs:
             jobs.append(GenerationJob("pairs", self.split, self.pairs, self.views))
         if self.sequences:
-            jobs.append(GenerationJob("sequences", self.split, self.sequences, len(SEQUENCE_FRAMES)))
+            jobs.append(GenerationJob("sequences", self.split, self.sequences, self._sequence_frames(preset)))
         console = Console()
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         notes: set[str] = set()
@@ -175,10 +184,19 @@ class Generate:
         settings = preset_settings(preset)
         settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
         if preset == CLUTTER:
-            return ClutterScenes(settings=ClutterSettings(settings), **common)
+            frames = self._sequence_frames(preset)
+            return ClutterScenes(settings=ClutterSettings(settings), sequence_frames=frames, **common)
         if preset == TABLETOP:
             return TabletopScenes(settings=TabletopSettings(settings), **common)
         return PaperScenes(settings=settings, **common)
+
+    def _sequence_frames(self, preset: str) -> int:
+        from objectflow.synth.generation import clutter_sequences
+        from objectflow.synth.physics.simulate import SEQUENCE_FRAMES
+
+        if preset == CLUTTER:
+            return clutter_sequences.SEQUENCE_FRAMES if self.frames is None else self.frames
+        return len(SEQUENCE_FRAMES)
 
     def _open_pool(self, scenes: Any) -> Any:
         from objectflow.runtime.pool import InProcess, Processes

@@ -23,6 +23,8 @@ from objectflow.cli.arguments import MethodArguments, ResultArguments, SourceArg
 from objectflow.cli.findings import warn_of
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
 from objectflow.cli.progress import show_progress
+from objectflow.cli.reconstruct import write_run_models
+from objectflow.cli.run_folder import RUN_FOLDER
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
 from objectflow.methods.base import Estimator, estimate_pair
@@ -32,8 +34,9 @@ from objectflow.readers.read_ahead import ReadAhead
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
-from objectflow.storage.locked_folder import FolderKind, locked_folder
+from objectflow.storage.locked_folder import locked_folder
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
+from objectflow.tracking.volume_meshing import check_extra
 from objectflow.view.run_frames import RunFrames
 from objectflow.view.run_tracks import RunTracks
 from objectflow.view.video import write_video
@@ -45,6 +48,7 @@ EXAMPLES = """\
   objectflow run table.bag --dt 0.5
   objectflow run table.bag --dt 0.5 --view
   objectflow run table.bag --dt 0.5 --video
+  objectflow run table.bag --dt 0.5 --models
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
@@ -56,13 +60,6 @@ NOTES = "notes.txt"
 """File of the notes on the source and of the frames that were left out; absent if there are none."""
 MAX_LEFT_OUT_LINES = 5
 """Maximum number of frames left out that are printed, one line each."""
-RUN_FOLDER = FolderKind(
-    error=ResultError,
-    content="a run",
-    foreign="is no earlier run",
-    busy="another run is writing there",
-    target="output folder",
-)
 
 
 @dataclass(frozen=True)
@@ -85,6 +82,9 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
 
     video: bool = False
     """Also write overlay.mp4, the overlays of all pairs."""
+
+    models: bool = False
+    """Also write models, the shapes of the objects and of the background (extra `models`)."""
     start: int = 0
     """First frame; the first one of the source is 0."""
 
@@ -99,6 +99,8 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
         self.check_method()
         if self.video and not self.pictures:
             raise ReaderError("--video is made of the pictures: leave out --no-pictures")
+        if self.models:
+            check_extra()
         out = self.out or OUTPUT_ROOT / self.source.resolve().name
         with silence_stderr(), warnings.catch_warnings():
             warnings.simplefilter("ignore", CutOffWarning)  # the notes say the same
@@ -157,6 +159,8 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 _report(out, source.notes, pairs.left_out)
                 if followed:
                     print(f"{followed} object{'s' * (followed != 1)} followed: {TRACKS}, {TRAJECTORIES}")
+                if self.models:
+                    write_run_models(out, sequence)
         print_written(out)
 
     def _select(self, sequence: FrameSource) -> list[list[int]]:

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import re
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import CameraArguments, open_location, open_two, option
+from objectflow.cli.run_folder import PAIR_NAME, open_run_source, run_pairs
 from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
-from objectflow.readers import CameraOptions, FrameSource, open_source
+from objectflow.readers import FrameSource
 from objectflow.runtime.quiet import silence_stderr
+from objectflow.storage.locked_folder import SETTINGS
 from objectflow.view.run_frames import RunFrames
 from objectflow.view.viewer import open_viewer
 from objectflow.view.viewer_frames import ViewerFrame, pair_frames
@@ -32,9 +32,6 @@ EXAMPLES = """\
   objectflow view data --key test-sequence-000003 --save sequence.rrd
   objectflow view run_folder --web
 """
-
-SETTINGS = "settings.json"
-PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
 
 
 @dataclass(frozen=True)
@@ -110,13 +107,7 @@ class View(CameraArguments):
         return partial(pair_frames, prev, curr, motion)
 
     def _run(self) -> Callable[[], Iterable[ViewerFrame]]:
-        pairs = sorted(
-            (int(match[1]), int(match[2]), folder)
-            for folder in self.path.iterdir()
-            if (match := PAIR_NAME.fullmatch(folder.name))
-        )
-        if not pairs:
-            raise ResultError(f"{self.path}: the run has no finished pair")
+        pairs = run_pairs(self.path)
         run_frames = RunFrames(self._source(self.path))
 
         def make() -> Iterator[ViewerFrame]:
@@ -127,19 +118,9 @@ class View(CameraArguments):
 
     def _source(self, run: Path) -> FrameSource:
         """Open the frames of a run with the run's settings."""
-        try:
-            settings = json.loads((run / SETTINGS).read_text(encoding="utf-8"))
-            source, topics = Path(settings["source"]), settings.get("topics") or [None, None]
-            options = _options(settings)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise ResultError(f"{run / SETTINGS}: not the settings of a run: {error!r}") from error
-        if self.frames is not None:
-            if len(self.frames) != 1:
-                raise ReaderError(f"--frames of a run must be one path, its source, not {len(self.frames)}")
-            source = self.frames[0]
-        if not source.exists():
-            raise ReaderError(f"{source}: the run's frames do not exist any more: give their path by --frames SOURCE")
-        return open_source(source, options, color_topic=topics[0], depth_topic=topics[1])
+        if self.frames is not None and len(self.frames) != 1:
+            raise ReaderError(f"--frames of a run must be one path, its source, not {len(self.frames)}")
+        return open_run_source(run, None if self.frames is None else self.frames[0], "--frames")
 
     def _rows(self) -> Callable[[], Iterable[ViewerFrame]]:
         # pyarrow is slow to import, and only data sets need it.
@@ -167,11 +148,3 @@ class View(CameraArguments):
         if not known:
             raise DatasetError(f"{self.path}: the data set is empty")
         raise DatasetError(f"{self.path}: no row {self.key!r}; rows: {known[0]} to {known[-1]}")
-
-
-def _options(settings: dict[str, Any]) -> CameraOptions:
-    if "options" in settings:
-        return CameraOptions.from_dict(settings["options"])
-    camera = settings["intrinsics"]
-    intrinsics = (float(camera["fx"]), float(camera["fy"]), float(camera["cx"]), float(camera["cy"]))
-    return CameraOptions(intrinsics=intrinsics, depth_scale=float(settings["depth_scale"]))

@@ -12,8 +12,8 @@ import numpy as np
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_objects
 from objectflow.dataset.schema import PairRow
-from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
+from objectflow.synth.generation.clutter_sequences import SEQUENCE_FRAMES, SEQUENCE_OBJECTS, make_sequence
 from objectflow.synth.generation.frame_pairs import SelectedFrames, select_frames
 from objectflow.synth.generation.rejection import DrawRows
 from objectflow.synth.generation.rows import MIN_CAMERA_DISTANCE, frame_objects, visible_in_both
@@ -28,6 +28,7 @@ from objectflow.synth.physics.simulate import RejectedSceneError
 from objectflow.synth.rendering.renderer import Renderer
 from objectflow.synth.scenes.clutter_scene import LAST_START, ClutterScene, ClutterSettings, draw_clutter_scene
 from objectflow.synth.scenes.paper_scene import SceneSettings
+from objectflow.synth.scenes.sequence_actions import draw_sequence_actions
 from objectflow.synth.scenes.surroundings import is_unobstructed
 from objectflow.typing import Float64Array
 
@@ -37,6 +38,8 @@ class ClutterScenes(SceneFactory[ClutterSettings]):
     """Cluttered scenes with actions; see `SceneFactory`. Texture images cover floors, furniture, walls and objects."""
 
     settings: ClutterSettings = field(default_factory=ClutterSettings)
+    sequence_frames: int = SEQUENCE_FRAMES
+    """Number of frames of a sequence."""
 
     @property
     def scene_settings(self) -> SceneSettings:
@@ -45,9 +48,21 @@ class ClutterScenes(SceneFactory[ClutterSettings]):
 
     def begin(self, task: Task, rng: np.random.Generator, library: Library, renderer: Renderer) -> DrawRows:
         """See `SceneFactory.begin`. Whether the scene has motion is decided here, once for all attempts."""
-        if task.kind != "pairs":
-            raise DatasetError("the preset clutter has no sequences: leave --sequences out")
         settings = dataclasses.replace(self.settings, scene=self.scene_settings)
+        if task.kind == "sequences":
+            plain = dataclasses.replace(settings.scene, objects=SEQUENCE_OBJECTS)
+            settings = dataclasses.replace(settings, scene=plain)
+
+            def draw_frames(
+                rng: np.random.Generator, timer: StageTimer, skip: Callable[[str], None]
+            ) -> list[dict[str, Any]]:
+                drawn = draw_clutter_scene(rng, library, self.split, settings, skip, motionless=True)
+                actions = draw_sequence_actions(rng, len(drawn.models), self.sequence_frames)
+                timer.lap("draw")
+                scene = dataclasses.replace(drawn, actions=actions)
+                return make_sequence(self.scene_name(task), scene, self.sequence_frames, renderer, timer)
+
+            return draw_frames
         motionless = bool(rng.random() < settings.motionless)
 
         def draw(rng: np.random.Generator, timer: StageTimer, skip: Callable[[str], None]) -> list[dict[str, Any]]:

@@ -1,0 +1,129 @@
+"""The folder of an `objectflow run`: its source, its pairs and its tracks, read back."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from objectflow.errors import ReaderError, ResultError
+from objectflow.motion import SceneMotion
+from objectflow.readers import CameraOptions, FrameSource, open_source
+from objectflow.storage.locked_folder import SETTINGS, FolderKind
+from objectflow.tracking.reconstruction import SequenceView
+from objectflow.tracking.tracker import Track
+from objectflow.tracking.trajectory_files import TRACKS
+
+RUN_FOLDER = FolderKind(
+    error=ResultError,
+    content="a run",
+    foreign="is no earlier run",
+    busy="another run is writing there",
+    target="output folder",
+)
+PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
+
+
+def run_pairs(run: Path) -> list[tuple[int, int, Path]]:
+    """Previous frame, current frame and folder of each finished pair of a run, in order.
+
+    Raises:
+        ResultError: there is none.
+    """
+    pairs = sorted(
+        (int(match[1]), int(match[2]), folder)
+        for folder in run.iterdir()
+        if (match := PAIR_NAME.fullmatch(folder.name))
+    )
+    if not pairs:
+        raise ResultError(f"{run}: the run has no finished pair")
+    return pairs
+
+
+def open_run_source(run: Path, source: Path | None, option: str) -> FrameSource:
+    """Open the frames of a run with the run's settings.
+
+    Args:
+        run: the folder.
+        source: where the frames lie now; None for where they lay during the run.
+        option: of the command line that states the source, for messages.
+
+    Raises:
+        ResultError: the settings are damaged.
+        ReaderError: the frames do not exist.
+    """
+    try:
+        settings = json.loads((run / SETTINGS).read_text(encoding="utf-8"))
+        path, topics = Path(settings["source"]), settings.get("topics") or [None, None]
+        options = _options(settings)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ResultError(f"{run / SETTINGS}: not the settings of a run: {error!r}") from error
+    path = path if source is None else source
+    if not path.exists():
+        raise ReaderError(f"{path}: the run's frames do not exist any more: give their path by {option} SOURCE")
+    return open_source(path, options, color_topic=topics[0], depth_topic=topics[1])
+
+
+def read_tracks(run: Path) -> list[Track]:
+    """The tracks in `tracks.json`.
+
+    Raises:
+        ResultError: the file is missing or damaged.
+    """
+    path = run / TRACKS
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return [
+            Track(
+                int(one["id"]),
+                [float(time) for time in one["times"]],
+                [np.array(pose, dtype=np.float64).reshape(4, 4) for pose in one["world_T_object"]],
+                [int(label) for label in one["labels"]],
+                [float(score) for score in one["scores"]],
+                [float(time) for time in one["gaps"]],
+            )
+            for one in content["tracks"]
+        ]
+    except FileNotFoundError:
+        raise ResultError(f"{path} is missing: the run is not finished; the same `objectflow run` goes on") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ResultError(f"{path}: not the tracks of a run: {error!r}") from error
+
+
+def run_views(source: FrameSource, pairs: list[tuple[int, int, Path]]) -> Iterator[SequenceView]:
+    """Current frame, labels and camera pose of each pair whose camera motion is known.
+
+    The world of a part is the camera of its first frame; a part ends at a cut, and where the camera was lost.
+
+    Raises:
+        ResultError: a pair is damaged, or the source has changed.
+    """
+    part, last = 0, None
+    world_T_camera = np.eye(4)
+    for prev, curr, folder in pairs:
+        if max(prev, curr) >= len(source):
+            raise ResultError(f"{folder}: its source has only {len(source)} frames now: the source has changed")
+        motion = SceneMotion.load(folder)
+        if last is not None and (prev != last or not motion.camera_known):
+            part, world_T_camera = part + 1, np.eye(4)
+        last = curr
+        if not motion.camera_known:
+            continue
+        if motion.camera_motion is not None:
+            world_T_camera = world_T_camera @ motion.camera_motion
+        frame, time = source[curr], source.timestamp(curr)
+        if frame.depth.shape != motion.labels.shape:
+            raise ResultError(f"{folder}: its labels do not fit the frames of the source: the source has changed")
+        yield SequenceView(curr, part, float(curr) if time is None else time, frame, motion.labels, world_T_camera)
+
+
+def _options(settings: dict[str, Any]) -> CameraOptions:
+    if "options" in settings:
+        return CameraOptions.from_dict(settings["options"])
+    camera = settings["intrinsics"]
+    intrinsics = (float(camera["fx"]), float(camera["fy"]), float(camera["cx"]), float(camera["cy"]))
+    return CameraOptions(intrinsics=intrinsics, depth_scale=float(settings["depth_scale"]))
