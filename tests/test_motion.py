@@ -112,7 +112,7 @@ def test_the_files_have_the_documented_content(tmp_path: Path) -> None:
     assert (summary["width"], summary["height"], summary["method"]) == (8, 6, "made up")
     assert sorted(summary["objects"][1]) == sorted(
         [
-            *("id", "pixels", "score", "moving", "motion_known", "center", "displacement_m", "rotation_deg"),
+            *("id", "pixels", "score", "moving", "motion_known", "rigid", "center", "displacement_m", "rotation_deg"),
             *("own_prev_T_curr", "rotation_vector", "translation", "prev_T_curr"),
         ]
     )

@@ -136,17 +136,22 @@ def motion_cost(
     return cost, hidden
 
 
-def motion_confidence(cost: Float32Array, gain: Float32Array) -> float:
+EXPLAINED_COST = 2.0
+"""Default of the largest cost of a pixel that a motion explains."""
+
+
+def motion_confidence(cost: Float32Array, gain: Float32Array, explained_cost: float = EXPLAINED_COST) -> float:
     """Confidence that pixels follow a motion: the share that it explains, less where a rival explains them as well.
 
     Args:
         cost: (N,) of the pixels under the motion.
         gain: (N,) cost under the rival minus `cost`.
+        explained_cost: largest cost of a pixel that the motion explains.
 
     Returns:
         0..1, to four digits.
     """
-    fit = float((cost < 2).mean())
+    fit = float((cost < explained_cost).mean())
     return round(fit * (1 - float(np.exp(-2 * max(0.0, float(gain.mean()))))), 4)
 
 

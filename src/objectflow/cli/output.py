@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
-from objectflow.motion import SceneMotion
+from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.motion.words import motion_texts
 from objectflow.storage import files
 
@@ -136,12 +136,18 @@ def print_objects(motion: SceneMotion) -> None:
                 str(obj.pixels),
                 *motion_texts(obj),
                 f"{obj.score:.2f}",
-                "yes" if obj.moving else "no",
+                _moving_text(obj),
             )
         console.print(table)
     else:
         console.print("no moving object found")
     console.print(f"{motion.camera_text}; {motion.method}, {motion.seconds:.2f} s")
+
+
+def _moving_text(obj: ObjectMotion) -> str:
+    if not obj.moving:
+        return "no"
+    return "yes" if obj.rigid else "yes, not rigid"
 
 
 def _is_result(path: Path) -> bool:

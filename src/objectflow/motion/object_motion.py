@@ -34,6 +34,8 @@ class ObjectMotion:
             the motion of the camera.
         camera_motion: (4, 4) float64 `prev_T_curr` of the static background, None for a static camera. `SceneMotion`
             sets it to its own.
+        rigid: False where no rigid motion explains the visible surface: the object deforms, or the mask holds things
+            that move differently. `prev_T_curr` is then the motion of the part that it explains.
 
     Raises:
         ResultError: a value of another type, a number that is not finite, or a `prev_T_curr` that is not rigid.
@@ -46,6 +48,7 @@ class ObjectMotion:
     center: Float64Array
     prev_T_curr: Float64Array
     camera_motion: Float64Array | None = None
+    rigid: bool = True
 
     def __post_init__(self) -> None:
         for name in ("id", "pixels"):
@@ -60,6 +63,8 @@ class ObjectMotion:
             raise ResultError(f"object {self.id}: its score must be a finite number, not {self.score!r}")
         if not isinstance(self.moving, bool | np.bool_):
             raise ResultError(f"object {self.id}: moving must be true or false, not {self.moving!r}")
+        if not isinstance(self.rigid, bool | np.bool_):
+            raise ResultError(f"object {self.id}: rigid must be true or false, not {self.rigid!r}")
         center = self.center
         if not isinstance(center, np.ndarray) or center.shape != (3,) or center.dtype.kind != "f":
             raise ResultError(f"object {self.id} has no center of three floating-point numbers")
@@ -118,7 +123,7 @@ class ObjectMotion:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, ObjectMotion):
             return NotImplemented
-        plain = ("id", "pixels", "score", "moving")
+        plain = ("id", "pixels", "score", "moving", "rigid")
         return all(getattr(self, name) == getattr(other, name) for name in plain) and all(
             np.array_equal(getattr(self, name), getattr(other, name)) for name in ("center", "prev_T_curr")
         )
@@ -131,6 +136,8 @@ class ObjectMotion:
             what = f"moved {100 * self.displacement:.1f} cm, {self.rotation_deg:.1f} deg"
         if not self.motion_known:
             what = "changed, motion unknown"
+        if not self.rigid:
+            what += ", not rigid"
         return f"ObjectMotion({self.id}: {what}, score {self.score:.2f}, {self.pixels} pixels)"
 
     def to_dict(self) -> dict[str, Any]:
@@ -141,6 +148,7 @@ class ObjectMotion:
             "score": self.score,
             "moving": self.moving,
             "motion_known": self.motion_known,
+            "rigid": bool(self.rigid),
             "center": self.center.tolist(),
             "displacement_m": self.displacement,
             "rotation_deg": self.rotation_deg,
@@ -163,6 +171,7 @@ class ObjectMotion:
             pixels=entry["pixels"],
             score=entry["score"],
             moving=entry["moving"],
+            rigid=entry.get("rigid", True),
             center=np.array(entry["center"], dtype=np.float64),
             prev_T_curr=np.array(entry["prev_T_curr"], dtype=np.float64),
         )

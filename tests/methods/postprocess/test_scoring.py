@@ -44,6 +44,7 @@ def test_true_motions_score_high_and_wrong_ones_low(seed: int) -> None:
         assert right.score > 0.7
         assert off.score < 0.1
         assert (right.id, right.pixels, right.moving) == (obj.id, obj.pixels, obj.moving)
+        assert right.rigid
 
 
 def test_static_objects_keep_their_scores() -> None:
@@ -82,3 +83,18 @@ def test_the_score_falls_with_the_share_that_the_previous_frame_does_not_show() 
     assert 0.75 * shown[0] < scores[0] <= shown[0]
     assert 0.5 * shown[1] < scores[1] <= shown[1]
     assert scores[2] <= min(shown[2], DEFAULTS.static_test.unseen_score)
+
+
+def test_two_things_in_one_mask_are_not_one_rigid_object() -> None:
+    scene = analytic.make_scene(51, objects=(3, 5), depth_noise=0.0015, width=320, height=240)
+    pair = FramePair(scene.prev, scene.curr)
+    first, second = sorted(scene.prev_T_curr, key=lambda k: -int((scene.labels == k).sum()))[:2]
+    both = np.isin(scene.labels, (first, second))
+    labels = np.where(both, first, 0).astype(np.int32)
+    assert 0.25 < (scene.labels[both] == second).mean() < 0.5
+    obj = ObjectMotion(first, int(both.sum()), 0.5, True, scene.centers[first], scene.prev_T_curr[first])
+    (found,) = set_confidence(pair, labels, (obj,), DEFAULTS)[1]
+    assert not found.rigid
+    (alone,) = set_confidence(pair, np.where(scene.labels == first, first, 0).astype(np.int32), (obj,), DEFAULTS)[1]
+    assert alone.rigid
+    assert found.score < alone.score

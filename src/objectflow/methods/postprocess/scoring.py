@@ -32,7 +32,8 @@ def set_confidence(
 
     Returns:
         The same labels and objects; static objects keep their score. Pixels that the previous frame does not show
-        confirm nothing, and an object of which it shows too little is a guess.
+        confirm nothing, and an object of which it shows too little is a guess. A moving object whose motion leaves
+        too many visible pixels unexplained is marked as not rigid.
     """
     likelihood, test = PairLikelihood.of(pair, settings.likelihood), settings.static_test
     small = likelihood.downscale(labels)
@@ -43,13 +44,15 @@ def set_confidence(
         if not obj.moving:
             out.append(obj)
             continue
-        score = 0.0
+        score, rigid = 0.0, True
         if mask.any():
             cost = likelihood.cost(obj.prev_T_curr, mask, out_of_view=UNSEEN)
             visible = cost < UNSEEN
             gain = resting.of(obj.id) - likelihood.cost(obj.prev_T_curr, mask)
-            score = motion_confidence(cost, gain)
+            score = motion_confidence(cost, gain, test.explained_cost)
             if visible.mean() < test.min_visible:
                 score = min(score, test.unseen_score)
-        out.append(dataclasses.replace(obj, score=score))
+            elif obj.motion_known:
+                rigid = bool((cost[visible] >= test.explained_cost).mean() <= test.max_unexplained)
+        out.append(dataclasses.replace(obj, score=score, rigid=rigid))
     return labels, tuple(out)

@@ -46,6 +46,11 @@ class StaticTestSettings(Settings):
     """Share of an object that the previous frame must show under its motion; other motions are guesses."""
     unseen_score: float = setting(0.3, minimum=0, maximum=1)
     """Highest score of an object of which the previous frame shows less."""
+    explained_cost: float = setting(2.0, above=0)
+    """Largest cost of a pixel that a motion explains."""
+    max_unexplained: float = setting(0.25, minimum=0, maximum=1)
+    """Largest share of an object's visible pixels that its motion leaves unexplained; beyond it, the object is not
+    rigid."""
 
 
 @dataclass(frozen=True)
