@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from objectflow.methods.registry import DEFAULT_METHOD, METHODS, load
     from objectflow.methods.rigidmatch.estimator import RigidMatchEstimator as RigidMatch
     from objectflow.methods.sceneflownet.estimator import SceneFlowNetC, SceneFlowNetCVL, SceneFlowNetS
+    from objectflow.tracking.sequence_estimator import SequenceEstimator
 
 __version__ = "0.1.0"
 
@@ -45,6 +46,7 @@ __all__ = [
     "SceneFlowNetCVL",
     "SceneFlowNetS",
     "SceneMotion",
+    "SequenceEstimator",
     "VoSf",
     "Zero",
     "load",
@@ -68,6 +70,7 @@ _LAZY = {
     "SceneFlowNetC": ("objectflow.methods.sceneflownet.estimator", "SceneFlowNetC"),
     "SceneFlowNetCVL": ("objectflow.methods.sceneflownet.estimator", "SceneFlowNetCVL"),
     "SceneFlowNetS": ("objectflow.methods.sceneflownet.estimator", "SceneFlowNetS"),
+    "SequenceEstimator": ("objectflow.tracking.sequence_estimator", "SequenceEstimator"),
     "VoSf": ("objectflow.methods.baselines.vo_sf.estimator", "VoSf"),
     "Zero": ("objectflow.methods.baselines.zero", "Zero"),
 }

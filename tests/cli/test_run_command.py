@@ -17,6 +17,7 @@ import pytest
 
 from objectflow.cli import main
 from objectflow.cli.output import RESULT_FILES
+from objectflow.cli.run import KNOWN, SEGMENTATION
 
 PAIR = Path(str(resources.files("objectflow"))) / "demo" / "pair"
 
@@ -44,8 +45,8 @@ def test_every_pair_has_a_result_folder(sequence: Path, tmp_path: Path, capsys: 
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--out", str(out)]) == 0
     pairs = {f"pair_{i:06d}_{i + 1:06d}" for i in range(4)}
-    assert names(out) == pairs | {"settings.json", "summary.csv", "tracks.json", "trajectories"}
-    assert all(names(out / pair) == RESULT_FILES for pair in pairs)
+    assert names(out) == pairs | {"settings.json", "summary.csv", "tracks.json", "trajectories", SEGMENTATION}
+    assert all(names(out / pair) == RESULT_FILES | {KNOWN} for pair in pairs)
     rows = list(csv.DictReader((out / "summary.csv").open()))
     assert [(row["prev"], row["curr"], row["moving"]) for row in rows] == [(str(i), str(i + 1), "0") for i in range(4)]
     assert "4 pairs; something moved in 0" in capsys.readouterr().out
@@ -55,7 +56,7 @@ def test_every_selects_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--every", "2", "--out", str(out)]) == 0
     assert {"pair_000000_000002", "pair_000002_000004"} < names(out)
-    assert len(names(out)) == 6
+    assert len(names(out)) == 7
 
 
 def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
@@ -71,7 +72,7 @@ def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
     assert main(command) == 0
     assert "3 of them done before" in capsys.readouterr().out
     assert (out / "pair_000001_000002" / "objects.json").stat().st_mtime_ns == kept
-    assert names(out / "pair_000002_000003") == RESULT_FILES
+    assert names(out / "pair_000002_000003") == RESULT_FILES | {KNOWN}
     assert not list(out.glob(".*"))
 
 
@@ -119,7 +120,7 @@ def test_an_interrupt_exits_with_130_and_keeps_finished_pairs(
     assert names(out) == {"settings.json", "pair_000000_000001", "pair_000001_000002"}
     monkeypatch.setattr(module, "write_result", write)
     assert main(command) == 0
-    assert len(names(out)) == 8
+    assert len(names(out)) == 9
 
 
 def test_a_sequence_without_a_readable_pair_leaves_no_files(

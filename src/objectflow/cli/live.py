@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import MethodArguments, SourceArguments, ViewArguments, option
@@ -42,8 +43,8 @@ HISTORY = 100_000
 class Live(ViewArguments, SourceArguments, MethodArguments):
     """Track objects on the newest frames; frames that arrive during an estimate are dropped.
 
-    Prints one line per estimate with the objects' ids, speeds and rotation rates. Ctrl-C stops. With --out,
-    trajectories are written at the end.
+    Prints one line per estimate with the objects' ids, speeds and rotation rates, and the known objects at rest.
+    Ctrl-C stops. With --out, trajectories are written at the end.
     """
 
     source: Annotated[Positional[str], option("realsense | realsense:FILE | SOURCE")]
@@ -83,7 +84,9 @@ class Live(ViewArguments, SourceArguments, MethodArguments):
                 numbers = (number, number := number + step.dropped + 1)
                 seconds = (step.times[0] - start, step.times[1] - start)
                 frames = (step.prev, step.curr)
-                viewer.show(partial(tracked_frames, tracker, step.tracks, frames, step.motion, numbers, seconds))
+                viewer.show(
+                    partial(tracked_frames, tracker, step.tracks, frames, step.motion, numbers, seconds, step.known)
+                )
                 steps = [*steps[-999:], (step.latency, step.times[1] - step.times[0], step.dropped)]
                 if self.seconds is not None and step.times[1] - start >= self.seconds:
                     break
@@ -117,4 +120,7 @@ def step_line(step: Step) -> str:
             speed, rate = 100 * obj.displacement / seconds, obj.rotation_deg / seconds
             parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {rate:.0f} deg/s")
     objects = ", ".join(parts) or ("camera unknown" if step.motion.camera == "unknown" else "no motion")
+    resting = sorted(set(np.unique(step.known).tolist()) - {0} - set(step.tracks.values()))
+    if resting:
+        objects += "; at rest: " + ", ".join(f"#{number}" for number in resting)
     return f"{step.times[1]:.2f} s  (latency {step.latency:.2f} s, {step.dropped} dropped)  {objects}"

@@ -12,13 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 from tyro.conf import Positional
 
 from objectflow import __version__
-from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.cli.arguments import MethodArguments, ResultArguments, SourceArguments, ViewArguments, option
 from objectflow.cli.findings import warn_of
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
@@ -27,16 +26,19 @@ from objectflow.cli.reconstruct import write_run_models
 from objectflow.cli.run_folder import RUN_FOLDER
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
-from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource
 from objectflow.readers.read_ahead import ReadAhead
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
+from objectflow.storage.images import encode_png
 from objectflow.storage.locked_folder import locked_folder
+from objectflow.tracking.sequence_estimator import SequenceStep
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.tracking.volume_meshing import check_extra
+from objectflow.view.known import draw_known
 from objectflow.view.run_frames import RunFrames
 from objectflow.view.run_tracks import RunTracks
 from objectflow.view.video import write_video
@@ -54,6 +56,10 @@ EXAMPLES = """\
 
 SUMMARY = "summary.csv"
 VIDEO = "overlay.mp4"
+KNOWN = "known.png"
+"""File of a pair's known objects: a 16-bit image of track ids, 0 beside them."""
+SEGMENTATION = "segmentation.png"
+"""Picture of all known objects in the last frame."""
 MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
 NOTES = "notes.txt"
@@ -65,6 +71,9 @@ MAX_LEFT_OUT_LINES = 5
 @dataclass(frozen=True)
 class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
     """Estimate every consecutive pair of a sequence: a result folder per pair, a table, and a trajectory per object.
+
+    Objects that have moved once stay known: known.png of each pair holds the masks of all of them, also at rest, and
+    segmentation.png shows those of the last frame.
 
     The source is a pair folder, a TUM RGB-D directory (rgb.txt, depth.txt), a folder of numbered frames
     (color/0001.png + depth/0001.png, or color_0001.png + depth_0001.png), or a ROS 1 bag, a ROS 2 bag or an MCAP file.
@@ -124,34 +133,40 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                     link_latest(out)
                 finished: list[tuple[int, int]] = []
                 skipped = 0
-                last: tuple[int, PreparedFrame] | None = None
+                step: SequenceStep | None = None
+                is_first = True
                 shown = RunFrames(sequence)
-                tracks = RunTracks(sequence, parts)
+                tracks = RunTracks(sequence, parts, estimator)
                 with show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance:
                     for prev_index, curr_index in itertools.chain([first], todo):
                         result = out / _name((prev_index, curr_index))
                         if result.is_dir():
                             skipped += 1
-                            tracks.add(prev_index, curr_index, sequence[curr_index], SceneMotion.load(result))
+                            stored = SceneMotion.load(result)
+                            step, _ = tracks.add(prev_index, curr_index, sequence[curr_index], stored)
                         else:
                             curr = pairs.read(curr_index)
-                            if last is None:
+                            if is_first:
                                 warn_of(sequence[prev_index], curr)
-                            prev = last[1] if last and last[0] == prev_index else sequence[prev_index]
-                            # Reuse what the last pair computed on its current frame.
-                            pair = FramePair(prev, curr)
-                            motion = estimate_pair(estimator, pair)
-                            marks = tracks.add(prev_index, curr_index, curr, motion)
+                            is_first = False
+                            step, marks = tracks.add(prev_index, curr_index, curr)
                             with files.new_folder(result) as folder:
                                 write_result(
-                                    folder, curr, motion, tracks=marks, pictures=self.pictures, exports=self.export
+                                    folder,
+                                    curr,
+                                    step.motion,
+                                    tracks=marks,
+                                    pictures=self.pictures,
+                                    exports=self.export,
                                 )
-                            last = (curr_index, pair.curr)
+                                (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
                         finished.append((prev_index, curr_index))
                         advance()
                         viewer.show(partial(shown.read, result, prev_index, curr_index))
-                write_tracks(out, tracks.tracker)
-                followed = len(tracks.tracker.tracks)
+                write_tracks(out, tracks.sequence.tracker)
+                followed = len(tracks.sequence.tracks)
+                if self.pictures and step is not None:
+                    files.write_bytes(out / SEGMENTATION, encode_png(draw_known(step.curr, step.known)))
                 if self.video:
                     overlays = [out / _name(pair) / "overlay.png" for pair in finished]
                     write_video(out / VIDEO, overlays, tracks.frame_rate)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.live.newest_frame import FrameTaken, NewestFrame
-from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
+from objectflow.tracking.sequence_estimator import SequenceEstimator
 from objectflow.tracking.tracker import Tracker
+from objectflow.typing import LabelImage
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +23,7 @@ class Step:
         prev, curr: the frames.
         motion: between the frames.
         tracks: track id of each object of `motion` that has a track, by the object's id.
+        known: (H, W) int32, track id of each pixel that shows an object that has moved before, 0 elsewhere.
         times: of the two frames, seconds.
         latency: from taking the current frame to the result, seconds.
         dropped: number of source frames between the two that were not processed.
@@ -31,7 +32,8 @@ class Step:
     prev: RgbdFrame
     curr: RgbdFrame
     motion: SceneMotion
-    tracks: dict[int, int]
+    tracks: Mapping[int, int]
+    known: LabelImage
     times: tuple[float, float]
     latency: float
     dropped: int
@@ -62,26 +64,28 @@ def follow(
         return
     prev_time = _time_of(prev, clock)
     number = prev.number
-    last: PreparedFrame | None = None
+    sequence = SequenceEstimator(estimator, tracker=tracker)
+    sequence.update(prev.frame, prev_time)
     while (curr := source.take(number)) is not None:
         number = curr.number
         taken, curr_time = clock(), _time_of(curr, clock)
         if curr.part != prev.part:
             # The recording restarted or the clock was set back, so tracking restarts here.
-            prev, prev_time, last = curr, curr_time, None
-            tracker.reset()
+            prev, prev_time = curr, curr_time
+            sequence.cut()
+            sequence.update(prev.frame, prev_time)
             continue
         if curr_time - prev_time < min_gap or curr_time <= prev_time:
             continue
-        # What the last estimate computed on its current frame is not computed again.
-        pair = FramePair(last or prev.frame, curr.frame)
-        motion, last = estimate_pair(estimator, pair), pair.curr
-        tracks = tracker.update(prev_time, curr.frame, curr_time, motion)
+        step = sequence.update(curr.frame, curr_time)
+        if step is None:
+            continue
         yield Step(
             prev=prev.frame,
             curr=curr.frame,
-            motion=motion,
-            tracks=tracks,
+            motion=step.motion,
+            tracks=step.tracks,
+            known=step.known,
             times=(prev_time, curr_time),
             latency=clock() - taken,
             dropped=curr.number - prev.number - 1,

@@ -10,9 +10,10 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
+from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSource
-from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.sequence_estimator import SequenceEstimator, SequenceStep
 from objectflow.view.overlay import TrackMarks
 
 TRAIL = 30
@@ -23,21 +24,23 @@ MAX_FRAME_RATE = 30.0
 
 
 class RunTracks:
-    """Links the objects of a run's pairs in their order.
+    """Estimates a run's pairs in their order, and links their objects.
 
     Attributes:
-        tracker: holds the trajectories.
+        sequence: holds the trajectories and the known objects.
         frame_rate: pairs per second of the source, at most `MAX_FRAME_RATE`.
     """
 
-    def __init__(self, source: FrameSource, parts: Sequence[Sequence[int]]) -> None:
+    def __init__(self, source: FrameSource, parts: Sequence[Sequence[int]], estimator: Estimator) -> None:
         """Prepare the tracks of a run.
 
         Args:
             source: of the frames.
             parts: the selected frame numbers of each part without a cut.
+            estimator: of the pairs.
         """
-        self.tracker = Tracker()
+        self.sequence = SequenceEstimator(estimator)
+        self._source = source
         times = {index: source.timestamp(index) for part in parts for index in part}
         # Frame numbers serve as times where the source has none.
         known = {index: time for index, time in times.items() if time is not None}
@@ -48,24 +51,30 @@ class RunTracks:
             self.frame_rate = min(MAX_FRAME_RATE, 1 / max(statistics.median(gaps), 1e-3))
         self._last: int | None = None
 
-    def add(self, prev_index: int, curr_index: int, curr: RgbdFrame, motion: SceneMotion) -> TrackMarks:
-        """Link the next pair's objects and return their marks.
+    def add(
+        self, prev_index: int, curr_index: int, curr: RgbdFrame, motion: SceneMotion | None = None
+    ) -> tuple[SequenceStep, TrackMarks]:
+        """Estimate the next pair, link its objects, and return the step and the objects' marks.
 
         Args:
             prev_index, curr_index: frame numbers; a pair that does not follow the last one starts anew.
             curr: the current frame.
-            motion: between the frames.
+            motion: between the frames, where an earlier run has estimated it.
         """
-        if self._last is not None and prev_index != self._last:
-            self.tracker.reset()
+        if prev_index != self._last:
+            self.sequence.cut()
+            self.sequence.update(self._source[prev_index], self._times[prev_index])
         self._last = curr_index
-        ids = self.tracker.update(self._times[prev_index], curr, self._times[curr_index], motion)
-        if not self.tracker.world_T_camera:  # the camera is lost
-            return TrackMarks(ids, {})
-        curr_T_world = geometry.inverse(self.tracker.world_T_camera[-1])
+        step = self.sequence.update(curr, self._times[curr_index], motion)
+        if step is None:
+            raise RuntimeError("the previous frame is missing")
+        tracker = self.sequence.tracker
+        if not tracker.world_T_camera:  # the camera is lost
+            return step, TrackMarks(step.tracks, {})
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         trails = {}
-        for track in self.tracker.tracks:
-            if track.id in ids.values():
+        for track in tracker.tracks:
+            if track.id in step.tracks.values():
                 positions = np.array([pose[:3, 3] for pose in track.world_T_object[-TRAIL:]])
                 trails[track.id] = geometry.transform(curr_T_world, positions)
-        return TrackMarks(ids, trails)
+        return step, TrackMarks(step.tracks, trails)

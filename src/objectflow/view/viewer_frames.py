@@ -14,7 +14,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.motion.words import motion_caption
 from objectflow.tracking.tracker import Tracker
-from objectflow.typing import Float32Array, Float64Array
+from objectflow.typing import Float32Array, Float64Array, LabelImage
 
 NO_TRACK = 65535
 """Id of masks without a track: objects at rest, and regions that no motion explains."""
@@ -97,6 +97,7 @@ def tracked_frames(
     motion: SceneMotion,
     numbers: tuple[int, int],
     seconds: tuple[float | None, float | None],
+    known: LabelImage | None = None,
 ) -> tuple[ViewerFrame, ViewerFrame]:
     """Both frames of the pair that a tracker was just updated with; objects have the ids of their tracks.
 
@@ -106,6 +107,7 @@ def tracked_frames(
         frames: previous and current.
         motion: between the frames.
         numbers, seconds: of both frames.
+        known: (H, W) track ids of known objects in the current frame, which are also shown at rest; None for none.
     """
     # A lost camera has no poses.
     world_T_prev, world_T_curr = tracker.world_T_camera[-2:] or (np.eye(4), np.eye(4))
@@ -125,6 +127,8 @@ def tracked_frames(
         if label < len(id_of_label):
             id_of_label[label] = track_id
     ids = id_of_label[motion.labels]
+    if known is not None:
+        ids = np.where((known > 0) & ((ids == 0) | (ids == NO_TRACK)), known, ids).astype(np.uint16)
     return (
         ViewerFrame(numbers[0], seconds[0], frames[0], world_T_prev, objects=tuple(before)),
         ViewerFrame(numbers[1], seconds[1], frames[1], world_T_curr, ids, motion.own_flow(frames[1]), tuple(after)),

@@ -1,0 +1,156 @@
+"""Objects that have moved once stay known: their models are compared with every later frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from objectflow import geometry
+from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.geometry.resample import resize_nearest
+from objectflow.motion import SceneMotion
+from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.model_fit import FrameView
+from objectflow.tracking.surface_model import SurfaceModel
+from objectflow.tracking.tracker import Tracker
+from objectflow.typing import BoolMask, Float64Array, LabelImage
+
+
+@dataclass(eq=False)
+class KnownObject:
+    """An object that has moved at least once.
+
+    Attributes:
+        model: its accumulated surface.
+        world_T_object: (4, 4) its latest pose.
+        moved: whether it moved in the latest pair.
+        present: share of the model's visible points that the latest frame confirmed, 0..1; 0 while it is hidden.
+    """
+
+    model: SurfaceModel
+    world_T_object: Float64Array
+    moved: bool = True
+    present: float = 0.0
+
+
+class KnownObjects:
+    """The models of all objects that have moved, and where the current frame shows them.
+
+    Attributes:
+        settings: thresholds.
+        objects: by the id of the track.
+    """
+
+    def __init__(self, settings: KnownSettings | None = None) -> None:
+        self.settings = settings or KnownSettings()
+        self.objects: dict[int, KnownObject] = {}
+
+    def update(
+        self, frame: PreparedFrame, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker
+    ) -> LabelImage:
+        """Compare the models with the current frame, and extend those of the objects that moved.
+
+        Poses of moving objects are refined by registration to their models; an object that came to rest is
+        registered once more, and its track continues from there.
+
+        Args:
+            frame: the current frame.
+            motion: the estimate for the pair that ends with it.
+            tracks: the track id of each object of the estimate, as `Tracker.update` returned them.
+            tracker: after this update.
+
+        Returns:
+            (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
+        """
+        if not tracker.world_T_camera:  # the camera is lost
+            self.objects = {}
+            return np.zeros(frame.frame.depth.shape, np.int32)
+        view = FrameView(frame, self.settings)
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        height, width = view.frame.frame.depth.shape
+        labels = resize_nearest(motion.labels, (height, width))
+        masks = {track: labels == label for label, track in tracks.items()}
+        by_id = {track.id: track for track in tracker.tracks}
+        self.objects = {number: known for number, known in self.objects.items() if number in by_id}
+        regions: dict[int, BoolMask] = {}
+        depths: dict[int, np.ndarray] = {}
+        for number in sorted({*self.objects, *masks}):
+            track = by_id[number]
+            if number in masks:
+                self._move(number, masks[number], track.world_T_object, view, curr_T_world)
+            elif self.objects[number].moved:
+                self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
+            if number not in self.objects:
+                continue
+            known = self.objects[number]
+            pose = curr_T_world @ known.world_T_object
+            fit = view.fit(known.model, pose)
+            known.present = fit.present if fit.visible >= self.settings.min_visible else 0.0
+            if number in masks:
+                # A pair's mask also contains surface that the model has not seen before.
+                regions[number], depths[number] = masks[number] & view.frame.valid, view.frame.frame.depth
+            elif known.present >= self.settings.min_present:
+                mask, depth = view.mask(known.model, pose)
+                if mask.sum() >= self.settings.min_pixels:
+                    regions[number], depths[number] = mask, depth
+        out = np.zeros((height, width), np.int32)
+        best = np.full((height, width), np.inf, np.float32)
+        # Pixels that two objects claim belong to the one whose model is nearer to the measured depth; the masks of
+        # moving objects come first.
+        for number in sorted(regions, key=lambda n: n not in masks):
+            with np.errstate(invalid="ignore"):
+                off = np.abs(depths[number] - view.frame.frame.depth)
+            wins = regions[number] & (off < best)
+            out[wins], best[wins] = number, off[wins]
+        return np.asarray(resize_nearest(out, frame.frame.depth.shape), dtype=np.int32)
+
+    def _move(
+        self,
+        number: int,
+        mask: BoolMask,
+        poses: list[Float64Array],
+        view: FrameView,
+        curr_T_world: Float64Array,
+    ) -> None:
+        """Refine the newest of a track's poses by its model, and extend the model by the surface in the mask."""
+        known = self.objects.get(number)
+        if known is None:
+            if (mask & view.frame.valid).sum() < self.settings.min_pixels:
+                return
+            depth = float(np.median(view.frame.frame.depth[mask & view.frame.valid]))
+            # Two pixels: at one, noise would spread a surface over several voxels.
+            model = SurfaceModel(2 * depth / view.frame.frame.camera.fx, self.settings.max_points)
+            known = self.objects[number] = KnownObject(model, poses[-1])
+        else:
+            poses[-1] = self._registered(known.model, poses[-1], view, curr_T_world)
+            fit = view.fit(known.model, curr_T_world @ poses[-1])
+            known.model.count(fit.fits, fit.missing)
+        known.world_T_object, known.moved = poses[-1], True
+        known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
+
+    def _rest(
+        self, known: KnownObject, poses: list[Float64Array], view: FrameView, curr_T_world: Float64Array
+    ) -> None:
+        """Register an object that came to rest; its track continues from the registered pose."""
+        fit = view.fit(known.model, curr_T_world @ known.world_T_object)
+        if fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present:
+            poses[-1] = known.world_T_object = self._registered(known.model, known.world_T_object, view, curr_T_world)
+            known.moved = False
+
+    def _registered(
+        self, model: SurfaceModel, world_T_object: Float64Array, view: FrameView, curr_T_world: Float64Array
+    ) -> Float64Array:
+        """The pose registered to the model, or the given one where registration moves far or fits clearly worse."""
+        start = curr_T_world @ world_T_object
+        pose = view.register(model, start)
+        change = geometry.inverse(start) @ pose
+        angle = math.degrees(float(geometry.rotation_angle(change[:3, :3])))
+        center = model.points.mean(axis=0)
+        shift = float(np.linalg.norm(geometry.transform(change, center) - center))
+        if shift > self.settings.max_correction or angle > self.settings.max_correction_deg:
+            return world_T_object
+        if view.fit(model, pose).present < view.fit(model, start).present - self.settings.max_loss:
+            return world_T_object
+        return geometry.inverse(curr_T_world) @ pose

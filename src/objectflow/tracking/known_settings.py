@@ -1,0 +1,37 @@
+"""Thresholds of known objects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from objectflow.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class KnownSettings(Settings):
+    """Thresholds by which models are compared with frames."""
+
+    width: int = setting(640, minimum=16)
+    """Pixels: wider frames are downscaled to it before models are compared with them."""
+    max_points: int = setting(20_000, minimum=100)
+    """Maximum number of voxels per model; voxels grow where a model would exceed it."""
+    min_pixels: int = setting(40, minimum=1)
+    """Pixels at `width`: smallest mask from which a model is made, and smallest known mask."""
+    depth_sigmas: float = setting(3.0, above=0)
+    """Standard deviations of depth: largest difference between model and frame."""
+    depth_margin: float = setting(0.006, minimum=0)
+    """Metres, added to `depth_sigmas`, for the extent of voxels and errors of the pose."""
+    max_chroma: float = setting(22.0, above=0)
+    """CIELAB units: largest difference in the two colour-opponent channels between model and frame."""
+    min_present: float = setting(0.6, minimum=0, maximum=1)
+    """Minimum share of the model's visible points that a frame must confirm for the object to be there."""
+    min_visible: float = setting(0.08, minimum=0, maximum=1)
+    """Share of the facing points below which an object counts as hidden."""
+    max_loss: float = setting(0.05, minimum=0, maximum=1)
+    """Largest loss of the share of confirmed points at which a registered pose is still accepted."""
+    registration_points: int = setting(1500, minimum=10)
+    """Maximum number of model points that registration uses."""
+    max_correction: float = setting(0.02, minimum=0)
+    """Metres: largest displacement by which registration to the model corrects a chained pose."""
+    max_correction_deg: float = setting(12.0, minimum=0)
+    """Degrees: largest rotation by which registration to the model corrects a chained pose."""

@@ -1,0 +1,130 @@
+"""A sequence, frame after frame: the motion of each pair, persistent ids, and the masks of all known objects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.frame import RgbdFrame
+from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.motion import SceneMotion
+from objectflow.tracking.known_objects import KnownObjects
+from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.tracker import Track, Tracker
+from objectflow.typing import LabelImage
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceStep:
+    """The result of one frame of a sequence.
+
+    Attributes:
+        prev, curr: the last frame and this one.
+        times: of both, seconds, or frame numbers where there are no times.
+        motion: between the frames.
+        tracks: track id of each object of `motion` that has a track, by the object's id.
+        known: (H, W) int32 label image of every object that has moved up to now, by track id, also at rest and half
+            hidden; 0 elsewhere.
+    """
+
+    prev: RgbdFrame
+    curr: RgbdFrame
+    times: tuple[float, float]
+    motion: SceneMotion
+    tracks: Mapping[int, int]
+    known: LabelImage
+
+
+class SequenceEstimator:
+    """Estimates consecutive frames, follows the objects and keeps those that have moved once known.
+
+    With a limited history in the settings of the tracker, memory does not grow with time. `state` and `restore` stop
+    and continue a sequence, also in another process.
+
+    Attributes:
+        tracker: the trajectories of the objects and of the camera.
+        known_objects: the models of the objects.
+        segmentation: the label image `known` of the latest step; None before the first.
+    """
+
+    def __init__(
+        self, estimator: Estimator, *, tracker: Tracker | None = None, settings: KnownSettings | None = None
+    ) -> None:
+        """Prepare a sequence.
+
+        Args:
+            estimator: of the pairs.
+            tracker: a new one, for settings other than the default.
+            settings: of the known objects.
+        """
+        self.estimator = estimator
+        self.tracker = tracker or Tracker()
+        self.known_objects = KnownObjects(settings)
+        self.segmentation: LabelImage | None = None
+        self._last: PreparedFrame | None = None
+        self._time = 0.0
+
+    @property
+    def tracks(self) -> list[Track]:
+        """All tracks that are kept, in order of id."""
+        return self.tracker.tracks
+
+    def update(
+        self, frame: RgbdFrame, time: float | None = None, motion: SceneMotion | None = None
+    ) -> SequenceStep | None:
+        """Add the next frame.
+
+        Args:
+            frame: of the same size and camera as the last one.
+            time: of the frame, later than that of the last one; the frame's time stamp if None, or the number of the
+                frame where it has none.
+            motion: between the last frame and this one, where it is known already, as from an earlier run; None
+                estimates it.
+
+        Returns:
+            The result, or None for the first frame of a sequence.
+
+        Raises:
+            FrameError: the frames differ in size or intrinsics, or their times do not rise.
+        """
+        if time is None:
+            time = frame.timestamp
+        if time is None:
+            time = 0.0 if self._last is None else self._time + 1
+        prev, prev_time = self._last, self._time
+        if prev is None:
+            self._last, self._time = PreparedFrame.of(frame), time
+            return None
+        # What the last estimate computed on its current frame is not computed again.
+        pair = FramePair(prev, frame)
+        found = estimate_pair(self.estimator, pair) if motion is None else motion
+        tracks = self.tracker.update(prev_time, frame, time, found)
+        known = self.known_objects.update(pair.curr, found, tracks, self.tracker)
+        self._last, self._time, self.segmentation = pair.curr, time, known
+        return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known)
+
+    def cut(self) -> None:
+        """Start a new world, as after a cut: the next frame is a first one, and objects get new ids."""
+        self.tracker.reset()
+        self.known_objects.objects = {}
+        self._last = self.segmentation = None
+
+    def state(self) -> dict[str, Any]:
+        """Everything that later results depend on but the estimator; it can be pickled."""
+        last = None if self._last is None else self._last.frame
+        return {
+            "tracker": self.tracker,
+            "known_objects": self.known_objects,
+            "last": last,
+            "time": self._time,
+            "segmentation": self.segmentation,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Continue from a `state`; the estimator must be the same."""
+        self.tracker, self.known_objects = state["tracker"], state["known_objects"]
+        self._last = None if state["last"] is None else PreparedFrame(state["last"])
+        self._time, self.segmentation = state["time"], state["segmentation"]

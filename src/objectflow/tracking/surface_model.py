@@ -1,0 +1,178 @@
+"""The surface of one object, accumulated over frames in a grid of voxels of bounded size."""
+
+from __future__ import annotations
+
+import itertools
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from objectflow import geometry
+from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.typing import BoolMask, Float64Array, Int64Array
+
+_REACH = 1 << 20
+"""Voxels: the coordinates of a voxel lie in -_REACH.._REACH, so that three of them fit one 64-bit key."""
+_MAX_RADIUS = 8
+"""Pixels: largest extent of a voxel in a rendered image."""
+_EMPTY = np.uint64(2**64 - 1)
+"""Value of empty pixels in the buffer of `render`."""
+_POINT, _NORMAL, _COLOR = slice(0, 3), slice(3, 6), slice(6, 9)
+
+
+class SurfaceModel:
+    """Mean point, normal and colour of every voxel that the object's surface was seen in.
+
+    A voxel also counts how often it moved with the object (`kept`) and how often the camera looked through it or saw
+    something else there (`missed`), so that parts of the background that a mask contained disappear again.
+
+    Attributes:
+        voxel: edge length of a voxel, metres. It doubles where the model would exceed `max_points`.
+        max_points: maximum number of voxels.
+    """
+
+    def __init__(self, voxel: float, max_points: int) -> None:
+        self.voxel, self.max_points = voxel, max_points
+        self._keys: Int64Array = np.zeros(0, np.int64)
+        self._sums: Float64Array = np.zeros((0, 9))
+        self._counts: Float64Array = np.zeros((0, 3))
+        """(N, 3): measurements, `kept` and `missed`."""
+
+    def __len__(self) -> int:
+        """The number of voxels."""
+        return len(self._keys)
+
+    @property
+    def points(self) -> Float64Array:
+        """(N, 3) metres in the object frame."""
+        return self._sums[:, _POINT] / self._counts[:, :1]
+
+    @property
+    def colors(self) -> Float64Array:
+        """(N, 3) RGB, 0..255."""
+        return self._sums[:, _COLOR] / self._counts[:, :1]
+
+    def integrate(self, frame: PreparedFrame, mask: BoolMask, camera_T_object: Float64Array) -> None:
+        """Add the surface in a mask.
+
+        Args:
+            frame: provides points, normals and colours.
+            mask: (H, W) bool; pixels without depth are left out.
+            camera_T_object: (4, 4) the object's pose.
+        """
+        rows, columns = np.nonzero(mask & frame.valid)
+        points = frame.points[rows, columns].astype(np.float64)
+        normals = frame.normals[rows, columns].astype(np.float64)
+        # Edges have no normal; the direction to the camera says from where they are visible.
+        toward = -points / np.linalg.norm(points, axis=1, keepdims=True)
+        normals = np.where(np.isfinite(normals).all(axis=1, keepdims=True), normals, toward)
+        object_T_camera = geometry.inverse(camera_T_object)
+        values = np.concatenate(
+            [
+                geometry.transform(object_T_camera, points),
+                normals @ object_T_camera[:3, :3].T,
+                frame.frame.color[rows, columns].astype(np.float64),
+            ],
+            axis=1,
+        )
+        self._add(values, np.tile([1.0, 0.0, 0.0], (len(values), 1)))
+
+    def count(self, kept: BoolMask, missed: BoolMask) -> None:
+        """Count which voxels moved with the object, and remove those that were missed more often than kept.
+
+        Args:
+            kept, missed: (N,) bool.
+        """
+        self._counts[:, 1] += kept
+        self._counts[:, 2] += missed
+        chosen = self._counts[:, 2] <= self._counts[:, 1]
+        self._keys, self._sums, self._counts = self._keys[chosen], self._sums[chosen], self._counts[chosen]
+
+    def render(self, camera_T_object: Float64Array, frame: PreparedFrame) -> tuple[NDArray[np.float32], Int64Array]:
+        """Render the surface that faces the camera.
+
+        Args:
+            camera_T_object: (4, 4) the object's pose.
+            frame: provides the camera.
+
+        Returns:
+            (H, W) float32 depth in metres, infinite beside the object; and (H, W) int64 the index of the voxel, -1
+            beside it.
+        """
+        camera = frame.frame.camera
+        depth = np.full((camera.height, camera.width), np.inf, np.float32)
+        index = np.full((camera.height, camera.width), -1, np.int64)
+        numbers = np.flatnonzero(self.facing(camera_T_object))
+        points = geometry.transform(camera_T_object, self.points[numbers])
+        pixels = np.rint(geometry.project(points, camera))
+        near = (np.abs(pixels) < 1e6).all(axis=1)
+        numbers, points, pixels = numbers[near], points[near], pixels[near].astype(np.int64)
+        if not len(numbers):
+            return depth, index
+        # A voxel covers the pixels around its centre, so that the surface has no holes.
+        size = self.voxel * camera.fx / float(np.median(points[:, 2]))
+        radius = min(_MAX_RADIUS, max(1, int(np.ceil(0.75 * size))))
+        low = np.maximum(pixels.min(axis=0) - radius, 0)
+        high = np.minimum(pixels.max(axis=0) + radius + 1, [camera.width, camera.height])
+        if (high <= low).any():
+            return depth, index
+        width, height = (high - low).tolist()
+        # Each entry combines depth and index: the bits of positive floats sort in the order of the floats.
+        packed = points[:, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
+        packed |= np.arange(len(numbers), dtype=np.uint64)
+        buffer = np.full(height * width, _EMPTY)
+        for dv, du in itertools.product(range(-radius, radius + 1), repeat=2):
+            u, v = (pixels + np.array([du, dv]) - low).T
+            inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
+            np.minimum.at(buffer, v[inside] * width + u[inside], packed[inside])
+        # Erosion takes back what the voxels' extent added at the outline.
+        kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+        filled = (buffer != _EMPTY).reshape(height, width).astype(np.uint8)
+        inner = cv2.erode(filled, kernel, borderType=cv2.BORDER_REPLICATE).astype(bool).ravel()
+        box = (slice(low[1], high[1]), slice(low[0], high[0]))
+        bits = (buffer >> np.uint64(32)).astype(np.uint32).view(np.float32)
+        depth[box] = np.where(inner, bits, np.inf).reshape(height, width)
+        found = numbers[np.where(inner, buffer & np.uint64(0xFFFFFFFF), 0).astype(np.int64)]
+        index[box] = np.where(inner, found, -1).reshape(height, width)
+        return depth, index
+
+    def facing(self, camera_T_object: Float64Array) -> BoolMask:
+        """(N,) bool: the voxels in front of the camera whose surface faces it."""
+        points = geometry.transform(camera_T_object, self.points)
+        normals = self._sums[:, _NORMAL] @ camera_T_object[:3, :3].T
+        return np.asarray(((points * normals).sum(axis=1) < 0) & (points[:, 2] > 0.01))
+
+    def grays(self) -> NDArray[np.float32]:
+        """(N,) grey levels."""
+        rgb = np.clip(np.rint(self.colors), 0, 255).astype(np.uint8).reshape(-1, 1, 3)
+        return cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).reshape(-1).astype(np.float32) if len(rgb) else np.zeros(0, "f4")
+
+    def _add(self, values: Float64Array, counts: Float64Array) -> None:
+        """Add sums of points, normals and colours (N, 9), with their counts (N, 3)."""
+        keys = self._key(values[:, _POINT] / counts[:, :1])
+        self._keys, self._sums, self._counts = _merged(
+            np.concatenate([self._keys, keys]),
+            np.concatenate([self._sums, values]),
+            np.concatenate([self._counts, counts]),
+        )
+        while len(self._keys) > self.max_points:
+            self.voxel *= 2
+            self._keys, self._sums, self._counts = _merged(self._key(self.points), self._sums, self._counts)
+
+    def _key(self, points: Float64Array) -> Int64Array:
+        cells = np.clip(np.floor(points / self.voxel).astype(np.int64), -_REACH + 1, _REACH - 1) + _REACH
+        return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+
+
+def _merged(
+    keys: Int64Array, sums: Float64Array, counts: Float64Array
+) -> tuple[Int64Array, Float64Array, Float64Array]:
+    """Sum the rows of equal keys; `kept` and `missed` are those of the voxel that has more of them."""
+    unique, inverse = np.unique(keys, return_inverse=True)
+    summed, total = np.zeros((len(unique), sums.shape[1])), np.zeros((len(unique), 3))
+    np.add.at(summed, inverse, sums)
+    np.add.at(total[:, 0], inverse, counts[:, 0])
+    np.maximum.at(total[:, 1], inverse, counts[:, 1])
+    np.maximum.at(total[:, 2], inverse, counts[:, 2])
+    return unique, summed, total

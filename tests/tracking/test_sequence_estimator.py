@@ -1,0 +1,185 @@
+"""Known objects on plates before a wall, with true motions: masks at rest, half hidden, hidden and found again."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+
+from objectflow import SequenceEstimator, geometry
+from objectflow.errors import FrameError
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.tracking import SequenceStep
+from objectflow.typing import BoolMask, LabelImage
+
+CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+ROWS, COLUMNS = np.mgrid[0:120, 0:160]
+TEXTURE = np.random.default_rng(5).integers(60, 200, (6, 6, 3), dtype=np.uint8)
+"""Colours of a plate, squares of 4 cm."""
+Place = tuple[float, float, float]
+
+
+class Scene:
+    """Textured square plates of 24 cm before a wall at 2 m; 2 never moves, and 9 hides others.
+
+    Every call renders the frame and the true labels of the plates at their centres (x, y, z), metres.
+    """
+
+    def __init__(self) -> None:
+        self.labels: dict[int, LabelImage] = {}
+        self.places: dict[int, dict[int, Place]] = {}
+
+    def frame(self, number: int, places: dict[int, Place]) -> RgbdFrame:
+        depth = np.full((120, 160), 2.0, np.float32)
+        color = np.full((120, 160, 3), 120, np.uint8)
+        labels = np.zeros((120, 160), np.int32)
+        for plate, (x, y, z) in sorted(places.items(), key=lambda item: -item[1][2]):
+            u, v = (COLUMNS - 79.5) / 150 * z - x + 0.12, (ROWS - 59.5) / 150 * z - y + 0.12
+            inside = (u >= 0) & (u < 0.24) & (v >= 0) & (v < 0.24)
+            cells = (v[inside] * 25).astype(int), (u[inside] * 25).astype(int)
+            color[inside], depth[inside], labels[inside] = np.roll(TEXTURE, plate, axis=2)[cells], z, plate
+        self.labels[number], self.places[number] = labels, places
+        return RgbdFrame(color, depth, CAMERA, timestamp=float(number))
+
+    def motion(self, number: int, error: Place = (0, 0, 0)) -> SceneMotion:
+        """The true motion of the plates that moved, plus an error, metres."""
+        before, after, labels = self.places[number - 1], self.places[number], self.labels[number].copy()
+        objects = []
+        for plate in np.unique(labels[labels > 0]).tolist():
+            if before.get(plate, after[plate]) == after[plate]:
+                labels[labels == plate] = 0
+                continue
+            motion = np.eye(4)
+            motion[:3, 3] = np.array(before[plate]) - after[plate] - error
+            pixels = int((labels == plate).sum())
+            objects.append(ObjectMotion(plate, pixels, 0.9, True, np.array(after[plate]), motion))
+        return SceneMotion(labels, np.zeros((120, 160, 3), np.float32), tuple(objects))
+
+
+def play(
+    places: list[dict[int, Place]], error: Place = (0, 0, 0)
+) -> tuple[Scene, SequenceEstimator, list[SequenceStep]]:
+    """Feed frames of the plates at these places."""
+    scene = Scene()
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(round(curr.timestamp or 0), error))
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    return scene, sequence, steps
+
+
+def iou(a: BoolMask, b: BoolMask) -> float:
+    return float((a & b).sum() / max(1, (a | b).sum()))
+
+
+STILL: Place = (0.3, 0.2, 1.2)
+PUSH: list[dict[int, Place]] = [{1: (-0.25 + 0.03 * k, 0.0, 1.0), 2: STILL} for k in range(5)]
+
+
+def test_an_object_stays_known_at_rest_and_what_never_moved_is_not_known() -> None:
+    scene, _, steps = play([*PUSH, *[PUSH[-1]] * 6])
+    for number, step in enumerate(steps, start=1):
+        assert set(np.unique(step.known)) == {0, 1}
+        assert iou(step.known == 1, scene.labels[number] == 1) > (0.99 if number < 5 else 0.9)
+    assert [len(step.tracks) for step in steps] == [1] * 4 + [0] * 6
+
+
+def test_a_half_hidden_object_is_known_where_it_is_seen_and_a_hidden_one_is_found_again() -> None:
+    rest = PUSH[-1]
+    cover = [{**rest, 9: (x, 0.0, 0.6)} for x in (-0.18, -0.08)]
+    scene, sequence, steps = play([*PUSH, rest, *cover, rest])
+    x = rest[1][0]
+    assert x == pytest.approx(-0.13)
+    half, full = cover
+    for number, here in ((6, half), (7, full)):
+        known = steps[number - 1].known == 1
+        visible = scene.labels[number] == 1
+        assert here in (half, full)
+        assert not (known & (scene.labels[number] == 9)).any()
+        assert known.sum() <= visible.sum()
+        if visible.sum() > 100:
+            assert iou(known, visible) > 0.8
+    assert (scene.labels[7] == 1).sum() < 10
+    assert sequence.known_objects.objects[1].present > 0.9
+    assert iou(steps[-1].known == 1, scene.labels[8] == 1) > 0.9
+
+
+def test_an_object_that_is_taken_away_is_not_reported_at_its_last_place() -> None:
+    _, sequence, steps = play([*PUSH, PUSH[-1], {2: STILL}, {2: STILL}])
+    assert (steps[-3].known == 1).sum() > 1000
+    assert not steps[-1].known.any()
+    assert sequence.known_objects.objects[1].present < 0.1
+
+
+def test_registration_to_the_model_bounds_the_drift_of_chained_motions() -> None:
+    places: list[dict[int, Place]] = [{1: (-0.2 + 0.02 * k, 0.0, 1.0)} for k in range(16)]
+    # Every estimated motion is 2 mm off along the ray: chained motions would be 30 mm off at the end.
+    _, sequence, _ = play([*places, places[-1]], error=(0, 0, 0.002))
+    (track,) = sequence.tracks
+    moved = track.world_T_object[-1][:3, 3] - track.world_T_object[0][:3, 3]
+    np.testing.assert_allclose(moved, [0.3, 0, 0], atol=0.004)
+
+
+def test_a_pickled_state_continues_with_the_same_results() -> None:
+    places = [*PUSH, PUSH[-1], *({1: (-0.13, 0.02 * k, 1.0), 2: STILL} for k in range(1, 4))]
+    scene, whole, steps = play(places)
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+    first = SequenceEstimator(whole.estimator)
+    for frame in frames[:6]:
+        first.update(frame)
+    second = SequenceEstimator(whole.estimator)
+    second.restore(pickle.loads(pickle.dumps(first.state())))
+    for frame, expected in zip(frames[6:], steps[5:], strict=True):
+        step = second.update(frame)
+        assert step is not None
+        assert step.tracks == expected.tracks
+        np.testing.assert_array_equal(step.known, expected.known)
+    for a, b in zip(whole.tracks, second.tracks, strict=True):
+        np.testing.assert_array_equal(a.world_T_object, b.world_T_object)
+
+
+def test_models_are_bounded_and_a_cut_starts_a_new_world() -> None:
+    places: list[dict[int, Place]] = [{1: (0.1 * np.sin(k / 5), 0.0, 1.0)} for k in range(60)]
+    scene, sequence, _ = play(places)
+    sizes = [len(known.model) for known in sequence.known_objects.objects.values()]
+    assert sizes
+    # 24 cm in voxels of two pixels are 18 x 18; noise of the pose spreads them over a few layers.
+    assert max(sizes) < 6 * 18 * 18
+    sequence.cut()
+    assert sequence.update(scene.frame(0, places[0])) is None
+    step = sequence.update(scene.frame(1, places[1]))
+    assert step is not None
+    assert set(step.tracks.values()) == {2}
+
+
+def test_a_moving_camera_sees_the_object_at_rest_where_it_is() -> None:
+    """The camera moves by 1 cm a frame to the right; the plate rests in the world after two pushes."""
+    scene = Scene()
+    places = [{1: (-0.1 + 0.03 * min(k, 2) - 0.01 * k, 0.0, 1.0)} for k in range(8)]
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+    step_of_camera = np.eye(4)
+    step_of_camera[0, 3] = 0.01
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = round(curr.timestamp or 0)
+        found = scene.motion(number)
+        if number > 2:
+            return SceneMotion(np.zeros((120, 160), np.int32), found.scene_flow, (), step_of_camera)
+        return SceneMotion(found.labels, found.scene_flow, found.objects, step_of_camera)
+
+    sequence = SequenceEstimator(estimate)
+    for (number, frame), _ in itertools.zip_longest(enumerate(frames), ()):
+        step = sequence.update(frame)
+        if step is not None:
+            assert iou(step.known == 1, scene.labels[number] == 1) > 0.9
+    pose = sequence.tracks[0].world_T_object[-1]
+    assert geometry.rotation_angle(pose[:3, :3]) < 0.01
+
+
+def test_times_must_rise() -> None:
+    scene, sequence, _ = play(PUSH)
+    with pytest.raises(FrameError, match="in order of time"):
+        sequence.update(scene.frame(4, PUSH[4]))
