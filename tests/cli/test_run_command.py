@@ -172,6 +172,7 @@ def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: py
     assert main(["run", str(PAIR), "--method", "zero"]) == 0
     assert names(tmp_path / "objectflow_out" / "latest") == {
         "pair_000000_000001",
+        "segmentation.png",
         "settings.json",
         "summary.csv",
         "tracks.json",
