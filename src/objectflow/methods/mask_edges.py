@@ -62,16 +62,18 @@ def upsample_labels(
         border = (cv2.dilate(as_float, size) != cv2.erode(as_float, size))[rows[:, None], columns[None, :]]
         y, x = np.nonzero(border & full.valid)
         scale = settings.depth_sigmas * noise.sigma(full.depth[y, x]) + settings.extra_depth
+        depth, color, place = full.depth[y, x], full.color[y, x].astype(np.float32), np.arange(len(y))
         votes = np.zeros((labels.max() + 1, len(y)), np.float32)
         for dy in (-1, 0, 1):
             for dx in (-1, 0, 1):
                 yy, xx = np.clip(rows[y] + dy, 0, h - 1), np.clip(columns[x] + dx, 0, w - 1)
-                gap = np.abs(full.depth[y, x] - small.depth[yy, xx]) / scale
-                change = np.abs(full.color[y, x].astype(np.float32) - small.color[yy, xx]).mean(-1)
+                gap = np.abs(depth - small.depth[yy, xx]) / scale
+                change = np.abs(color - small.color[yy, xx]).mean(-1)
                 change /= settings.color_scale
                 closeness = 1.0 if dx == dy == 0 else settings.neighbour_weight
                 vote = closeness * np.exp(-(np.minimum(gap, 6) ** 2) / 2 - np.minimum(change, 6) ** 2 / 2)
-                np.add.at(votes, (labels[yy, xx], np.arange(len(y))), vote * (small.depth[yy, xx] > 0) + 1e-9)
+                # Each pixel votes once, so that indices do not repeat and the slow `np.add.at` is not needed.
+                votes[labels[yy, xx], place] += vote * (small.depth[yy, xx] > 0) + 1e-9
         out[y, x] = votes.argmax(0)
     out = np.where(full.valid, out, 0).astype(np.int32)
     return _fill_holes(out, full, settings.max_hole_share)
