@@ -177,6 +177,7 @@ def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: py
         "summary.csv",
         "tracks.json",
         "trajectories",
+        SEGMENTATION,
     }
 
 
@@ -239,6 +240,17 @@ def test_overlays_have_lasting_colours_and_trails_and_make_a_video(
     video = cv2.VideoCapture(str(tmp_path / "out" / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FRAME_WIDTH)) == (3, 960)
     assert main([*words, "--out", str(tmp_path / "other"), "--video", "--no-pictures"]) == 2
+
+    # A pair that is lost and made again has the same known objects, whose models come from the stored results.
+    known = tmp_path / "out" / "pair_000001_000002" / KNOWN
+    before, picture = known.read_bytes(), (tmp_path / "out" / SEGMENTATION).read_bytes()
+    labels = cv2.imread(str(known), cv2.IMREAD_UNCHANGED)
+    assert labels.dtype == np.uint16
+    np.testing.assert_array_equal(np.unique(labels), [0, 1])
+    shutil.rmtree(known.parent)
+    assert main([*words, "--out", str(tmp_path / "out"), "--video"]) == 0
+    assert known.read_bytes() == before
+    assert (tmp_path / "out" / SEGMENTATION).read_bytes() == picture
 
 
 def test_start_stop_and_limit(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

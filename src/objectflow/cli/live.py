@@ -120,7 +120,8 @@ def step_line(step: Step) -> str:
             speed, rate = 100 * obj.displacement / seconds, obj.rotation_deg / seconds
             parts.append(f"#{step.tracks[obj.id]} {speed:.1f} cm/s {rate:.0f} deg/s")
     objects = ", ".join(parts) or ("camera unknown" if step.motion.camera == "unknown" else "no motion")
-    resting = sorted(set(np.unique(step.known).tolist()) - {0} - set(step.tracks.values()))
+    shown = [] if step.known is None else np.unique(step.known).tolist()
+    resting = sorted(set(shown) - {0} - set(step.tracks.values()))
     if resting:
         objects += "; at rest: " + ", ".join(f"#{number}" for number in resting)
     return f"{step.times[1]:.2f} s  (latency {step.latency:.2f} s, {step.dropped} dropped)  {objects}"

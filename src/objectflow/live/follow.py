@@ -23,20 +23,21 @@ class Step:
         prev, curr: the frames.
         motion: between the frames.
         tracks: track id of each object of `motion` that has a track, by the object's id.
-        known: (H, W) int32, track id of each pixel that shows an object that has moved before, 0 elsewhere.
         times: of the two frames, seconds.
         latency: from taking the current frame to the result, seconds.
         dropped: number of source frames between the two that were not processed.
+        known: (H, W) int32, track id of each pixel that shows an object that has moved before, 0 elsewhere; None where
+            known objects are not followed.
     """
 
     prev: RgbdFrame
     curr: RgbdFrame
     motion: SceneMotion
     tracks: Mapping[int, int]
-    known: LabelImage
     times: tuple[float, float]
     latency: float
     dropped: int
+    known: LabelImage | None = None
 
 
 def follow(
