@@ -319,13 +319,17 @@ def test_every_setting_of_a_method_is_documented(method: str) -> None:
 @pytest.mark.parametrize("method", ["rigidmatch", "consensus", "homc", "pd-flow", "sr-flow", "vo-sf", "zero"])
 def test_every_setting_can_be_set_in_the_shell(method: str) -> None:
     cls = find_class(method)
-    for info in describe(cls):
-        if info.path == "weights" or (info.kind == "text" and not info.default):
-            continue
-        word = ",".join(map(str, info.default)) if isinstance(info.default, list) else str(info.default)
-        settings = build(cls, parse_assignments([f"{info.path}={word}"]))
-        values = {one.path: one.default for one in describe(cls, base=settings)}
-        assert values[info.path] == info.default, info.path
+    defaults = {
+        info.path: info.default
+        for info in describe(cls)
+        if info.path != "weights" and (info.kind != "text" or info.default)
+    }
+    words = [
+        f"{path}={','.join(map(str, value)) if isinstance(value, list) else value}" for path, value in defaults.items()
+    ]
+    settings = build(cls, parse_assignments(words))
+    found = {info.path: info.default for info in describe(cls, base=settings)}
+    assert {path: found[path] for path in defaults} == defaults
 
 
 # --- as JSON, from the command line, from a file ---

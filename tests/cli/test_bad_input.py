@@ -232,7 +232,9 @@ def test_errors_in_a_shell(module: bool, tmp_path: Path) -> None:
 def test_a_terminated_estimate_leaves_no_files(tmp_path: Path, number: int) -> None:
     """The signal arrives while the result is written."""
     code = (
-        "import os, sys; from objectflow.cli import estimate, main; "
+        "import os, signal, sys; from objectflow.cli import estimate, main; "
+        # Under nohup, the tests inherit that SIGHUP is ignored.
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL); "
         f"estimate.write_result = lambda *_, **__: os.kill(os.getpid(), {int(number)}); sys.exit(main())"
     )
     command = [sys.executable, "-c", code, "estimate", str(PAIR), "--method", "zero", "--out", "deep/result"]

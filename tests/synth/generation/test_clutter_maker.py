@@ -70,8 +70,6 @@ def test_the_same_seed_gives_the_same_row(rows: list[PairRow]) -> None:
     np.testing.assert_array_equal(again.curr.depth, rows[5].curr.depth)
 
 
-def test_unknown_splits_and_sequences_are_refused() -> None:
+def test_unknown_splits_are_refused() -> None:
     with pytest.raises(DatasetError, match="split"):
         ClutterScenes(0, "holdout")
-    with pytest.raises(DatasetError, match="sequences"):
-        ClutterScenes(0, "val", SMALL)()(Task("sequences", 0))
