@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,13 @@ import pytest
 from objectflow import geometry
 from objectflow.dataset.check import contradictions
 from objectflow.dataset.moving_objects import moving_labels
-from objectflow.dataset.schema import PairRow
+from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
 from objectflow.synth.generation.clutter_maker import ClutterScenes
 from objectflow.synth.generation.tasks import Task
 from objectflow.synth.scenes.clutter_scene import SCENE, ClutterSettings
+from objectflow.synth.scenes.sequence_actions import STEP
 
 SMALL = ClutterSettings(replace(SCENE, objects=(2, 5), width=160, height=120, focal=(110.0, 150.0)))
 
@@ -73,3 +75,23 @@ def test_the_same_seed_gives_the_same_row(rows: list[PairRow]) -> None:
 def test_unknown_splits_are_refused() -> None:
     with pytest.raises(DatasetError, match="split"):
         ClutterScenes(0, "holdout")
+
+
+def test_sequences_have_actions_one_after_another_with_rests_between() -> None:
+    frames = 12
+    make = ClutterScenes(0, "val", SMALL, sequence_frames=frames)()
+    made = next(rows for rows in (make(Task("sequences", scene)).rows for scene in range(4)) if rows)
+    sequence = [SequenceRow.from_dict(row) for row in made]
+    assert len(sequence) == frames
+    assert [row.frame for row in sequence] == [STEP * number for number in range(frames)]
+    poses = [{item.label: item.pose for item in row.objects} for row in sequence]
+    moved = [
+        {
+            label
+            for label in before.keys() & after.keys()
+            if np.linalg.norm(before[label][:3, 3] - after[label][:3, 3]) > 0.003
+        }
+        for before, after in itertools.pairwise(poses)
+    ]
+    assert not moved[0]  # the first action starts at frame `FIRST_START`
+    assert any(moved)
