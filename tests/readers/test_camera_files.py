@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from objectflow import geometry
 from objectflow.errors import CameraError, ObjectflowError, ReaderError
+from objectflow.geometry.camera import Camera
 from objectflow.readers import CameraOptions
 from objectflow.readers.camera_files import read_camera_file
 
@@ -121,6 +123,25 @@ def test_every_form_gives_the_same_camera(tmp_path: Path, form: str) -> None:
     assert values.distortion == ()
     setup = CameraOptions(camera_file=tmp_path / name).fit((640, 480), tmp_path)
     assert (setup.camera.width, setup.camera.height, setup.camera.fx) == (640, 480, FX)
+
+
+def test_a_ros_message_of_a_binned_region_of_interest(tmp_path: Path) -> None:
+    """A point that projects into the region lies at the same place of the image that the region was binned to."""
+    message: dict[str, Any] = {"width": 640, "height": 480, "D": [], "K": ROW}
+    message |= {"binning_x": 2, "binning_y": 2}
+    message["roi"] = {"x_offset": 100, "y_offset": 60, "width": 400, "height": 300, "do_rectify": False}
+    (tmp_path / "info.json").write_text(json.dumps(message))
+    values = read_camera_file(tmp_path / "info.json")
+    assert values.size == (200, 150)
+    setup = CameraOptions(camera_file=tmp_path / "info.json").fit((200, 150), tmp_path)
+    point = np.array([0.1, -0.05, 1.3])
+    on_sensor = geometry.project(point, Camera(width=640, height=480, fx=FX, fy=FY, cx=CX, cy=CY))
+    np.testing.assert_allclose(geometry.project(point, setup.camera), (on_sensor - [100, 60]) / 2, rtol=1e-12)
+    # Zeros mean the full sensor, unbinned.
+    message |= {"binning_x": 0, "binning_y": 0, "roi": dict.fromkeys(message["roi"], 0)}
+    (tmp_path / "info.json").write_text(json.dumps(message))
+    values = read_camera_file(tmp_path / "info.json")
+    assert (values.size, values.fx, values.cx) == ((640, 480), FX, CX)
 
 
 def test_a_matrix_of_numpy_and_a_binary_model_of_colmap(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def image_camera(info: Any, size: tuple[int, int], *, rectified: bool, topic: st
     fx, cx, fy, cy = K[0], K[2], K[4], K[5]
     if rectified and P is not None and P[0] > 0:
         fx, cx, fy, cy = P[0], P[2], P[5], P[6]
-    scaled = _crop_and_bin(info, size, (cx, cy), topic)
+    scaled = crop_and_bin(info, size, (cx, cy), topic)
     (bin_x, bin_y), (x, y), notes = scaled
     try:
         camera = Camera(*size, fx / bin_x, fy / bin_y, (cx - x) / bin_x, (cy - y) / bin_y)
@@ -76,10 +76,23 @@ def image_camera(info: Any, size: tuple[int, int], *, rectified: bool, topic: st
     return ImageCamera(camera, lens, notes)
 
 
-def _crop_and_bin(
+def crop_and_bin(
     info: Any, size: tuple[int, int], center: tuple[float, float], topic: str
 ) -> tuple[tuple[int, int], tuple[int, int], tuple[str, ...]]:
-    """Binning factors, offset of the region of interest in sensor pixels, and notes on the message."""
+    """How an image of `size` was cut out of the sensor, by a message's region of interest and binning.
+
+    Args:
+        info: the message, or an object with its `width`, `height`, `binning_x`, `binning_y` and `roi`.
+        size: (width, height) of the image.
+        center: the principal point on the sensor.
+        topic: start of notes and messages.
+
+    Returns:
+        Binning factors, offset of the region of interest in sensor pixels, and notes on the message.
+
+    Raises:
+        ReaderError: the message does not describe an image of this size.
+    """
     full = int(info.width), int(info.height)
     binning = max(1, int(info.binning_x)), max(1, int(info.binning_y))
     offset = int(info.roi.x_offset), int(info.roi.y_offset)
@@ -94,17 +107,18 @@ def _crop_and_bin(
         if _distance(shifted, size) < _distance(center, size):
             return (1, 1), offset, (f"{topic} states the size of its region of interest: its offset is subtracted",)
         return (1, 1), (0, 0), ()
-    if size == _binned(region, binning):
+    if size == binned(region, binning):
         return binning, offset, ()
     if size == full:
         note = f"{topic} states binning by {binning[0]}x{binning[1]}, but the size of the image: K is used as it is"
         return (1, 1), (0, 0), (note,) if binning != (1, 1) else ()
-    if size == _binned(full, binning):
+    if size == binned(full, binning):
         return binning, (0, 0), ()
     raise ReaderError(f"{topic}: the camera is {full[0]}x{full[1]}, the image {size[0]}x{size[1]}: give --intrinsics")
 
 
-def _binned(size: tuple[int, int], binning: tuple[int, int]) -> tuple[int, int]:
+def binned(size: tuple[int, int], binning: tuple[int, int]) -> tuple[int, int]:
+    """The size of a binned image, in pixels."""
     return size[0] // binning[0], size[1] // binning[1]
 
 

@@ -15,11 +15,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
 from typing import Any
 
 from objectflow.errors import CameraError
 from objectflow.geometry.camera import check_depth_scale
+from objectflow.readers.camera_info import binned, crop_and_bin
 from objectflow.readers.camera_values import CameraValues, from_matrix, number
 
 NESTED = ("camera", "color", "rgb", "color_intrinsics", "rgb_intrinsics", "color_camera", "intrinsics", "intrinsic")
@@ -128,7 +131,35 @@ def _ros_message(values: Mapping[str, Any], where: str) -> CameraValues:
     names = ("w", "h") if "w" in values else ("width", "height")
     size = _size(values, *names, where) if names[0] in values else None
     coefficients = _numbers(values.get("D", values.get("d", ())), "D", where)
-    return CameraValues(*intrinsics, size, None, *_lens(str(values.get("distortion_model", "")), coefficients))
+    lens = _lens(str(values.get("distortion_model", "")), coefficients)
+    return _region_of_interest(CameraValues(*intrinsics, size, None, *lens), values, where)
+
+
+def _region_of_interest(sensor: CameraValues, values: Mapping[str, Any], where: str) -> CameraValues:
+    """The camera of the binned region of interest that a CameraInfo message describes."""
+    region = values.get("roi") or {}
+    if sensor.size is None or not isinstance(region, dict):
+        return sensor
+    names = ("x_offset", "y_offset", "width", "height")
+    roi = {name: int(number(region.get(name, 0), f"roi.{name}", where)) for name in names}
+    binning_x, binning_y = (max(1, int(number(values.get(f"binning_{a}", 0), f"binning_{a}", where))) for a in "xy")
+    if not any(roi.values()) and (binning_x, binning_y) == (1, 1):
+        return sensor
+    width, height = sensor.size
+    message = SimpleNamespace(
+        width=width, height=height, binning_x=binning_x, binning_y=binning_y, roi=SimpleNamespace(**roi)
+    )
+    size = binned((roi["width"] or width, roi["height"] or height), (binning_x, binning_y))
+    (x_bins, y_bins), (x, y), notes = crop_and_bin(message, size, (sensor.cx, sensor.cy), where)
+    return dataclasses.replace(
+        sensor,
+        fx=sensor.fx / x_bins,
+        fy=sensor.fy / y_bins,
+        cx=(sensor.cx - x) / x_bins,
+        cy=(sensor.cy - y) / y_bins,
+        size=size,
+        note="; ".join(notes),
+    )
 
 
 def _nerf(values: Mapping[str, Any], where: str) -> CameraValues:
