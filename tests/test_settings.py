@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from objectflow.errors import MethodError, SettingsError
-from objectflow.methods.registry import METHODS, find_class
 from objectflow.settings import Settings, build, converted, describe, flat, parse_assignments, read_toml, setting
 
 
@@ -306,30 +305,6 @@ def test_settings_are_described_by_path() -> None:
     assert found["size"][1:3] == ("2 values or none", None)
     assert found["steps"].default == ["refine", "merge"]
     assert found["middle.inner.count"].documentation == ""
-
-
-@pytest.mark.parametrize("method", ["rigidmatch", "consensus", "sceneflownet-c-vl", "pd-flow"])
-def test_every_setting_of_a_method_is_documented(method: str) -> None:
-    assert method in METHODS
-    for info in describe(find_class(method)):
-        assert info.documentation, info.path
-        assert info.kind
-
-
-@pytest.mark.parametrize("method", ["rigidmatch", "consensus", "homc", "pd-flow", "sr-flow", "vo-sf", "zero"])
-def test_every_setting_can_be_set_in_the_shell(method: str) -> None:
-    cls = find_class(method)
-    defaults = {
-        info.path: info.default
-        for info in describe(cls)
-        if info.path != "weights" and (info.kind != "text" or info.default)
-    }
-    words = [
-        f"{path}={','.join(map(str, value)) if isinstance(value, list) else value}" for path, value in defaults.items()
-    ]
-    settings = build(cls, parse_assignments(words))
-    found = {info.path: info.default for info in describe(cls, base=settings)}
-    assert {path: found[path] for path in defaults} == defaults
 
 
 # --- as JSON, from the command line, from a file ---
