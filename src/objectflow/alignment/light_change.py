@@ -40,6 +40,10 @@ class LightSettings(Settings):
     """Quantiles of the difference that are compared; the first decides whether the light changed."""
     min_spread: float = setting(0.15, above=0)
     """Standard deviation of the logarithm of a channel below which its gamma cannot be observed and stays 1."""
+    min_residual: float = setting(0.02, above=0)
+    """Smallest standard deviation, of the logarithm of a channel, by which residuals are weighted."""
+    tukey: float = setting(4.685, above=0)
+    """Standard deviations from which a residual has no weight (Tukey's biweight)."""
     max_gamma: float = setting(2.5, minimum=1)
     """Largest gamma, and the inverse of the smallest."""
 
@@ -134,8 +138,8 @@ def _fit_channel(prev: Float32Array, curr: Float32Array, settings: LightSettings
     gamma, offset = 1.0, float(np.median(y - x))
     for _ in range(10):
         residual = y - gamma * x - offset
-        scale = max(0.02, 1.4826 * float(np.median(np.abs(residual))))
-        weight = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
+        scale = max(settings.min_residual, 1.4826 * float(np.median(np.abs(residual))))
+        weight = np.clip(1 - (residual / (settings.tukey * scale)) ** 2, 0, None) ** 2
         total = weight.sum()
         mean_x, mean_y = (weight * x).sum() / total, (weight * y).sum() / total
         if observable:

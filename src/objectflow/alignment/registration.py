@@ -42,6 +42,8 @@ class RegistrationSettings(Settings):
     """Metres, added to `inlier_sigmas`: a point farther behind the surface is hidden."""
     min_gray_noise: float = setting(4.0, above=0)
     """Grey levels: smallest standard deviation of grey residuals; it is otherwise measured."""
+    min_step: float = setting(3e-5, minimum=0)
+    """Metres and radians: the iterations end at a smaller step, which is far below a depth camera's resolution."""
     tukey: float = setting(TUKEY, above=0)
     """Standard deviations from which a residual has no weight (Tukey's biweight)."""
 
@@ -161,7 +163,7 @@ def refine(
             damping = 1e-4 * np.diag(H) + 1e-6 * np.trace(H) / 6 + 1e-9
             step = np.linalg.solve(H + np.diag(damping), -b)
             T = geometry.se3_exp(step) @ T
-            if np.abs(step).max() < 3e-5:  # 0.03 mm: far below the resolution of a depth camera
+            if np.abs(step).max() < settings.min_step:
                 break
     return evaluate_registration(target, source, T, settings)
 

@@ -30,6 +30,16 @@ class PixelGraphSettings(Settings):
     """The same in standard deviations of depth, in addition."""
     color_scale: float = setting(25.0, above=0)
     """Grey levels: scale of the colour differences that weaken an edge."""
+    min_color_similarity: float = setting(0.12, minimum=0, maximum=1)
+    """Factor on an edge across any difference of colour: colour alone may be print, so it weakens an edge only."""
+    holes_factor: float = setting(0.05, minimum=0, maximum=1)
+    """Factor on the edges of pixels without depth."""
+    holes_color_scale: float = setting(15.0, above=0)
+    """Grey levels: `color_scale` of pixels without depth."""
+    min_weight: float = setting(0.02, above=0)
+    """Weight added to every edge, so that the graph stays connected."""
+    step_weight: float = setting(0.01, above=0)
+    """Weight of an edge across a depth step."""
     crease_cosine: float = setting(0.97, minimum=-1, maximum=1)
     """Cosine of the angle between two normals below which a concave edge is a crease."""
     crease_factor: float = setting(0.15, minimum=0, maximum=1)
@@ -105,11 +115,14 @@ def _edge_weights(
         crease = (turn < 0) & ((normals[there] * normals[here]).sum(-1) < settings.crease_cosine)
     change = np.abs(color[here] - color[there]).max(-1)
     # A colour edge alone may be print, so it only weakens an edge; depth steps and creases cut it.
-    similar = 0.12 + 0.88 * np.exp(-((change / settings.color_scale) ** 2))
-    weight = settings.edge_weight * similar * np.exp(-((gap / allowed) ** 2)) + 0.02
+    similar = settings.min_color_similarity + (1 - settings.min_color_similarity) * np.exp(
+        -((change / settings.color_scale) ** 2)
+    )
+    weight = settings.edge_weight * similar * np.exp(-((gap / allowed) ** 2)) + settings.min_weight
     weight = np.where(crease, settings.crease_factor * weight, weight)
-    weight = np.where(both, weight, 0.05 * settings.edge_weight * np.exp(-((change / 15) ** 2)) + 0.02)
-    return np.where(step, 0.01, weight), step
+    holes = settings.holes_factor * settings.edge_weight * np.exp(-((change / settings.holes_color_scale) ** 2))
+    weight = np.where(both, weight, holes + settings.min_weight)
+    return np.where(step, settings.step_weight, weight), step
 
 
 def split_regions(

@@ -27,6 +27,10 @@ class ProposalSettings(Settings):
     """Minimum number of inlier matches of a motion."""
     max_matches: int = setting(700, minimum=3)
     """Maximum number of matches; more are subsampled at random, since the compatibility table is quadratic."""
+    min_support_ratio: float = setting(0.5, minimum=0, maximum=1)
+    """Smallest support of a motion relative to the best of the same table."""
+    min_free_share: float = setting(0.8, minimum=0, maximum=1)
+    """Smallest share of a motion's matches that no other motion of the same table has taken."""
     reach_base: float = setting(0.05, minimum=0)
     """Maximum distance in metres between two matches of one motion, at depth 0."""
     reach_slope: float = setting(0.35, minimum=0)
@@ -85,10 +89,15 @@ def propose(
         free = np.ones(len(left.curr), bool)
         taken_here = 0
         for index in np.argsort(-scores):
-            if scores[index] < max(settings.min_support, 0.5 * scores.max()) or len(found) == settings.max_motions:
+            if (
+                scores[index] < max(settings.min_support, settings.min_support_ratio * scores.max())
+                or len(found) == settings.max_motions
+            ):
                 break
             members = follows[index]
-            if (members & free).sum() < 0.8 * members.sum() or (members & free).sum() < settings.min_support:
+            if (members & free).sum() < settings.min_free_share * members.sum() or (
+                members & free
+            ).sum() < settings.min_support:
                 continue
             prev_T_curr, inliers = fitting.fit_matches(left[members & free], camera, noise=noise, settings=fit)
             if inliers.sum() < settings.min_support:

@@ -13,7 +13,7 @@ from scipy import ndimage
 from objectflow import geometry
 from objectflow.alignment import fitting
 from objectflow.alignment.fitting import FitSettings
-from objectflow.alignment.likelihood import motion_confidence
+from objectflow.alignment.likelihood import EXPLAINED_COST, motion_confidence
 from objectflow.alignment.matching import PixelMatches, inside
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.moved import is_moving
@@ -46,6 +46,10 @@ class SelectionSettings(Settings):
     """The same in pixels."""
     scale_error: float = setting(0.1, minimum=0)
     """Error of the camera's motion relative to its length: depth cameras are off in scale by a few percent."""
+    explained_cost: float = setting(3.0, above=0)
+    """Largest cost of a pixel that the background or a selected motion explains."""
+    unexplained_score: float = setting(0.25, minimum=0, maximum=1)
+    """Factor on the score of regions that changed without a motion of their own: their motion is a guess."""
     max_unexplained: int = setting(4, minimum=0)
     """Maximum number of reported regions that no motion explains, the largest first."""
 
@@ -84,11 +88,11 @@ def select_objects(
     """
     labels = np.zeros(assignment.valid.shape, np.int32)
     selections: list[Selection] = []
-    explained = assignment.background_cost < 3
+    explained = assignment.background_cost < settings.explained_cost
     for k in sorted(range(len(masks)), key=lambda k: -int(masks[k].sum())):
         mask, motion = masks[k], motions[k]
         cost = assignment.cost(motion, assignment.around_mask(mask))
-        explained |= mask & (cost < 3)
+        explained |= mask & (cost < settings.explained_cost)
         gains = ((assignment.background_cost - cost) * assignment.informative)[mask]
         if not _is_worth(gains, settings) or not _has_moved(assignment, mask, motion, settings):
             continue
@@ -106,8 +110,8 @@ def select_objects(
         motion = assignment.background
         if len(own.curr) >= 6:
             motion = fitting.fit_matches(own, camera, noise=assignment.pair.noise, settings=fit)[0]
-        share = float((assignment.cost(motion, assignment.around_mask(region))[region] < 2).mean())
-        selections.append(Selection(motion, round(0.25 * share, 4), True))
+        share = float((assignment.cost(motion, assignment.around_mask(region))[region] < EXPLAINED_COST).mean())
+        selections.append(Selection(motion, round(settings.unexplained_score * share, 4), True))
         labels[region & (labels == 0)] = len(selections)
     return labels, selections
 
