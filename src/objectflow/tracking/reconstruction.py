@@ -20,7 +20,6 @@ from objectflow.alignment.registration import (
     RegistrationSettings,
     RegistrationSources,
     RegistrationTarget,
-    evaluate_registration,
     refine,
 )
 from objectflow.frame import RgbdFrame
@@ -210,20 +209,8 @@ def register_to_model(
     model = RgbdFrame(_extended(shown.color, shown.valid), shown.depth, frame.camera)
     target = RegistrationTarget(model, volume.noise)
     source = RegistrationSources(frame).take(mask)
-    settings = settings or RegistrationSettings()
-    before = evaluate_registration(target, source, np.eye(4), settings)
-    result = refine(target, source, np.eye(4), settings=settings)
-    # Smooth surfaces without texture can slide along themselves: a correction must bring the surfaces closer.
-    gate = settings.inlier_sigmas * float(volume.noise.sigma(np.median(shown.depth[shown.valid])))
-    if _distance(before, gate) <= _distance(result, gate):
-        result = before
+    result = refine(target, source, np.eye(4), settings=settings or RegistrationSettings())
     return geometry.inverse(result.prev_T_curr) @ camera_T_object, result
-
-
-def _distance(fit: RegistrationResult, gate: float) -> float:
-    """Mean squared distance of the visible points to the surface; outliers count with the distance `gate`, metres."""
-    inliers = fit.fitness * fit.inlier_rmse**2 if fit.fitness else 0.0
-    return inliers + (1 - fit.fitness) * gate**2
 
 
 def _fuse_view(
