@@ -22,7 +22,7 @@ def find_device(name: str = "auto") -> torch.device:
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         count = torch.cuda.device_count()
         there = "no CUDA device that this torch can use" if not count else f"only {count} CUDA devices"
-        raise MethodError(f"device {name} asked for, but there is {there}: leave it out, or choose cpu")
+        raise MethodError(f"device {name} is not available, since there is {there}: omit it or choose cpu")
     try:
         # A device that this build of torch does not support fails in its driver (RuntimeError), at its first use
         # (AssertionError, "Torch not compiled with ..."), or because a kernel is missing (NotImplementedError).

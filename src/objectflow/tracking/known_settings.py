@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from objectflow.alignment.registration import RegistrationSettings
 from objectflow.settings import Settings, setting
 
 
@@ -29,6 +30,10 @@ class KnownSettings(Settings):
     """Share of the facing points below which an object counts as hidden."""
     max_loss: float = setting(0.05, minimum=0, maximum=1)
     """Largest loss of the share of confirmed points at which a registered pose is still accepted."""
+    gap_depth: float = setting(0.02, minimum=0)
+    """Metres: a gap in a mask is filled if the frame is at most this much nearer there than the model."""
+    registration: RegistrationSettings = RegistrationSettings(iterations=6, color_weight=0.3, first_gate=0.02)
+    """Registration of a model to the frame; the pose is known to a few centimetres."""
     registration_points: int = setting(1500, minimum=10)
     """Maximum number of model points that registration uses."""
     max_correction: float = setting(0.02, minimum=0)

@@ -9,14 +9,11 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
-from objectflow.alignment.registration import RegistrationSettings, RegistrationSource, RegistrationTarget, refine
+from objectflow.alignment.registration import RegistrationSource, RegistrationTarget, refine
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.typing import BoolMask, Float32Array, Float64Array
-
-REGISTRATION = RegistrationSettings(iterations=6, color_weight=0.3, first_gate=0.02)
-"""Settings of the registration of a model to a frame: the pose is known to a few centimetres."""
 
 
 class ModelFit(NamedTuple):
@@ -124,7 +121,7 @@ class FrameView:
             facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
         grays = model.grays()[facing]
         source = RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
-        return refine(self.target, source, camera_T_object, settings=REGISTRATION).prev_T_curr
+        return refine(self.target, source, camera_T_object, settings=self.settings.registration).prev_T_curr
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.
@@ -147,7 +144,9 @@ class FrameView:
         color = chroma(model.colors[index[rows, columns]])
         alike = np.abs(color - self.chroma[rows, columns]).max(axis=-1, initial=0) <= self.settings.max_chroma
         agrees[rows, columns] = near & alike
-        return np.asarray(_closed(agrees, 2) & inside & (measured > 0) & (agrees | _near(depth, measured))), depth
+        return np.asarray(
+            _closed(agrees, 2) & inside & (measured > 0) & (agrees | _near(depth, measured, self.settings.gap_depth))
+        ), depth
 
 
 def chroma(color: Float64Array | np.ndarray) -> Float32Array:
@@ -164,7 +163,7 @@ def _closed(mask: BoolMask, radius: int) -> BoolMask:
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0)
 
 
-def _near(depth: Float32Array, measured: Float32Array) -> BoolMask:
+def _near(depth: Float32Array, measured: Float32Array, limit: float) -> BoolMask:
     """Pixels at which closing may fill a gap: the frame shows no surface in front of the model."""
     with np.errstate(invalid="ignore"):
-        return np.asarray(depth - measured < 0.02)
+        return np.asarray(depth - measured < limit)

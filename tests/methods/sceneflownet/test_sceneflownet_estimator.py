@@ -305,7 +305,7 @@ def test_invalid_settings_are_named(weights: Path, options: dict[str, Any], mess
     ("options", "message"),
     [
         ({"device": "abacus"}, "unknown device 'abacus'"),
-        ({"device": "cuda:99"}, "device cuda:99 asked for, but there is"),
+        ({"device": "cuda:99"}, "device cuda:99 is not available, since there is"),
         ({"device": "xpu"}, "device xpu cannot be used"),
         ({"weights": "nowhere.safetensors"}, "nowhere.safetensors: no such file or folder of weights"),
     ],
