@@ -17,11 +17,10 @@ from objectflow.readers.bag_geometry import plan_geometry
 from objectflow.readers.bag_messages import BagMessages
 from objectflow.readers.bag_times import pair_messages
 from objectflow.readers.bag_topics import choose_topics
-from objectflow.readers.camera_info import ImageCamera
+from objectflow.readers.camera_info import ImageCamera, frame_name
 from objectflow.readers.options import DEFAULT_DEPTH_SCALE, CameraOptions
 from objectflow.readers.ros_images import to_color, to_depth
 from objectflow.readers.sequence import CutOffWarning, FrameStep
-from objectflow.readers.transforms import frame_name
 from objectflow.readers.tum import MAX_TIME_DIFFERENCE
 from objectflow.typing import Float32Array, UInt8Array
 

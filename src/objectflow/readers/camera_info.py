@@ -14,7 +14,6 @@ import numpy as np
 from objectflow.errors import CameraError, ReaderError
 from objectflow.geometry.camera import Camera
 from objectflow.readers.lens import Lens, make_lens
-from objectflow.readers.transforms import frame_name
 
 
 @dataclass(frozen=True)
@@ -36,6 +35,11 @@ def is_valid_info(info: Any) -> bool:
     """Whether a message holds intrinsics; an uncalibrated camera publishes zeros."""
     K = _matrix(info, "k", 9)
     return K is not None and K[0] > 0 and K[4] != 0
+
+
+def frame_name(frame_id: str) -> str:
+    """A frame_id without the leading slash of early ROS versions."""
+    return str(frame_id).strip().lstrip("/")
 
 
 def info_frame(info: Any) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from objectflow import geometry
+from objectflow.readers.camera_info import frame_name
 from objectflow.typing import Float64Array
 
 
@@ -46,11 +47,6 @@ class TransformTree:
                     found[neighbour] = found[frame] @ frame_T_neighbour
                     queue.append(neighbour)
         return None
-
-
-def frame_name(frame_id: str) -> str:
-    """A frame_id without the leading slash of early ROS versions."""
-    return str(frame_id).strip().lstrip("/")
 
 
 def extrinsics_matrix(message: Any) -> Float64Array | None:
