@@ -240,9 +240,11 @@ def converted(value: Any, hint: Any, path: str) -> Any:
                 continue
         raise _wrong(path, _words(hint), value)
     if origin is Literal:
-        if value not in arguments:
-            raise SettingsError(f"setting {path} must be one of {', '.join(map(str, arguments))}, not {value!r}")
-        return value
+        for choice in arguments:
+            # Values from the shell are text, also where the choices are numbers.
+            if choice == value or str(choice) == value:
+                return choice
+        raise SettingsError(f"setting {path} must be one of {', '.join(map(str, arguments))}, not {value!r}")
     if origin is tuple:
         items = value
         if isinstance(value, str):

@@ -18,6 +18,14 @@ def to_gray(color: UInt8Array) -> UInt8Array:
     return np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
+_LOCAL_MEAN = 4.0
+"""Pixels: standard deviation of the window over which the local mean of lightness is taken."""
+_LIGHT_FREE_BLUR = 0.8
+"""Pixels: standard deviation of the blur before ratios of colours, which amplify noise, are taken."""
+_LIGHT_FREE_MEAN = 2.0
+"""Pixels: standard deviation of the window of the local mean of the logarithm of lightness."""
+
+
 class AppearanceFeatures:
     """Colour of a frame in four channels, of which shadows change only lightness much.
 
@@ -32,7 +40,7 @@ class AppearanceFeatures:
         self._color = color
         lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.float32)
         light = np.ascontiguousarray(lab[..., 0])
-        texture = light - cv2.GaussianBlur(light, (0, 0), 4)
+        texture = light - cv2.GaussianBlur(light, (0, 0), _LOCAL_MEAN)
         self.channels = (texture, light, *(np.ascontiguousarray(lab[..., k]) for k in (1, 2)))
         size = np.ones((3, 3))
         self.contrast = tuple(cv2.dilate(channel, size) - cv2.erode(channel, size) for channel in self.channels)
@@ -44,10 +52,10 @@ class AppearanceFeatures:
         Texture is the logarithm of lightness minus its local mean; the two chromaticities are ratios of colour
         differences to the sum of the colours.
         """
-        rgb = cv2.GaussianBlur(self._color, (0, 0), 0.8).astype(np.float32)
+        rgb = cv2.GaussianBlur(self._color, (0, 0), _LIGHT_FREE_BLUR).astype(np.float32)
         red, green, blue = rgb[..., 0], rgb[..., 1], rgb[..., 2]
         total = red + green + blue + 3 * _DARK
         log = np.log(total)
-        texture = log - cv2.GaussianBlur(log, (0, 0), 2)
+        texture = log - cv2.GaussianBlur(log, (0, 0), _LIGHT_FREE_MEAN)
         first, second = (red - green) / total, (red + green - 2 * blue) / total
         return np.asarray(texture, dtype=np.float32), first.astype(np.float32), second.astype(np.float32)

@@ -21,6 +21,9 @@ MAX_PIXELS = 64_000_000
 MAX_OFFSET = 20.0
 """Largest distance of the principal point from the origin, in image sizes."""
 
+FOCAL_LENGTHS = (0.1, 20.0)
+"""Smallest and largest focal length in image sizes: 157 and 3 degrees of view."""
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -61,7 +64,8 @@ class Camera:
                 f"the principal point ({self.cx:g}, {self.cy:g}) lies far outside the {self.width}x{self.height} "
                 "image: are these the intrinsics of another resolution?"
             )
-        if not 0.1 <= self.fx / self.width <= 20 or not 0.1 <= self.fy / self.height <= 20:
+        low, high = FOCAL_LENGTHS
+        if not low <= self.fx / self.width <= high or not low <= self.fy / self.height <= high:
             raise CameraError(
                 f"fx={self.fx:g}, fy={self.fy:g} do not fit a {self.width}x{self.height} image: "
                 "are they in pixels, and of this resolution?"

@@ -12,6 +12,13 @@ from objectflow import geometry
 from objectflow.geometry.camera import Camera
 from objectflow.typing import Float32Array
 
+_MAX_STEP = 0.04
+"""Largest difference of depth within a window, relative to depth: 75 degrees of tilt for a typical lens."""
+_STEP_MARGIN = 0.01
+"""Metres, added to `_MAX_STEP` for noise."""
+_COMPLETE = 0.99
+"""Share of a window from which it is complete, in floating point."""
+
 
 def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     """(H, W) depth -> (H, W, 3) unit normals toward the camera; NaN at holes and depth edges.
@@ -24,8 +31,9 @@ def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     size = (5, 5)
     near = cv2.erode(np.where(depth > 0, depth, np.inf).astype(np.float32), np.ones(size))
     far = cv2.dilate(depth, np.ones(size))
-    # A tilted surface also changes depth over five pixels: 4 % is a tilt of 75 degrees for a typical lens.
-    smooth = (far - near < 0.04 * depth + 0.01) & (cv2.boxFilter(valid, -1, size) > 0.99) & (depth > 0)
+    # A tilted surface also changes depth over five pixels.
+    level = far - near < _MAX_STEP * depth + _STEP_MARGIN
+    smooth = level & (cv2.boxFilter(valid, -1, size) > _COMPLETE) & (depth > 0)
     kernel = np.arange(-2, 3, dtype=np.float32)
     ones = np.ones(5, np.float32)
     slope_u = cv2.sepFilter2D(inverse, -1, kernel / 50, ones)

@@ -39,6 +39,11 @@ SCALE_ERROR = 0.1
 """Default of `CompensationConfig.scale_error`."""
 VIEW_TOLERANCE = 0.02
 """Default of `CompensationConfig.view_tolerance`."""
+CRACK_DEPTH = 0.05
+"""Default of `CompensationConfig.crack_depth`."""
+
+_EXTENT_QUANTILE = 0.9
+"""Quantile of the distances of an object's points from its centre that is its lever arm; stray pixels lie farther."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,9 @@ class CompensationConfig(Settings):
     view_tolerance: float = setting(VIEW_TOLERANCE, minimum=0)
     """Largest difference of depth, relative to depth and beside its noise, between the previous frame as the current
     camera would have seen it and the previous image that it is sampled from."""
+    crack_depth: float = setting(CRACK_DEPTH, minimum=0, maximum=1)
+    """Smallest difference of depth, relative to depth, at which a farther surface between two pixels of a nearer one
+    is a crack of the rendered view, which is closed."""
     error_factor: float = setting(2.0, minimum=0)
     """Factor on the median distance of matches from the camera's motion; objects that move by less are static."""
     matching: MatchSettings = MatchSettings()
@@ -140,7 +148,12 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         if camera.prev_T_curr is None:
             return _Compensated(pair, camera)
         seen = as_seen_from(
-            pair.prev.frame, camera.prev_T_curr, pair.curr.frame.camera, pair.noise, self.view_tolerance
+            pair.prev.frame,
+            camera.prev_T_curr,
+            pair.curr.frame.camera,
+            pair.noise,
+            self.view_tolerance,
+            self.crack_depth,
         )
         if seen is None:
             return _Compensated(None, camera)
@@ -187,6 +200,7 @@ def as_seen_from(
     camera: Camera,
     noise: DepthNoise = STRUCTURED_LIGHT,
     view_tolerance: float = VIEW_TOLERANCE,
+    crack_depth: float = CRACK_DEPTH,
 ) -> RgbdFrame | None:
     """The previous frame rendered from the pose of the current camera.
 
@@ -199,7 +213,7 @@ def as_seen_from(
         prev_T_curr: the camera's motion, as the background's.
         camera: of the current frame.
         noise: of the depth.
-        view_tolerance: see `CompensationConfig`.
+        view_tolerance, crack_depth: see `CompensationConfig`.
 
     Returns:
         A frame on `camera`'s pixels, or None if no point lies in its view.
@@ -209,7 +223,7 @@ def as_seen_from(
     color, thrown = warping.splat(points, prev.color, camera)
     if not (thrown > 0).any():
         return None
-    closed = _close_cracks(thrown)
+    closed = _close_cracks(thrown, crack_depth)
     in_prev = geometry.transform(prev_T_curr, geometry.back_project(closed, camera))
     tolerance = 3 * noise.sigma(closed) + view_tolerance * closed + 1e-6
     sampled = warping.warp_previous(prev, in_prev, tolerance=tolerance)
@@ -224,12 +238,12 @@ def as_seen_from(
     return RgbdFrame(color=color[rows, columns], depth=depth, camera=camera, timestamp=prev.timestamp, name=prev.name)
 
 
-def _close_cracks(depth: Float32Array) -> Float32Array:
+def _close_cracks(depth: Float32Array, crack_depth: float) -> Float32Array:
     """Depth with gaps of one or two pixels between points of one surface filled from their rims."""
     nearness = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
     closed = cv2.morphologyEx(nearness, cv2.MORPH_CLOSE, np.ones((3, 3)))
     # Cracks through which a farther surface is visible are closed too; they would take its colour.
-    crack = (closed > 0) & (nearness < 0.95 * closed)
+    crack = (closed > 0) & (nearness < (1 - crack_depth) * closed)
     return np.where(crack, 1 / np.maximum(closed, 1e-6), depth).astype(np.float32)
 
 
@@ -276,6 +290,6 @@ def _exceeds_camera_error(
     """Whether an object's own motion exceeds the error of the camera's, at its centre or at the end of its points."""
     passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
     radii = np.linalg.norm(points[np.isfinite(points[:, 2])] - obj.center, axis=1)
-    lever_arm = max(LEVER_ARM, float(np.quantile(radii, 0.9)) if len(radii) else 0.0)
+    lever_arm = max(LEVER_ARM, float(np.quantile(radii, _EXTENT_QUANTILE)) if len(radii) else 0.0)
     tolerance = max(tolerance, scale_error * passed)
     return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance, lever_arm=lever_arm))

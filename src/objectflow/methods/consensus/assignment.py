@@ -29,10 +29,22 @@ class AssignmentSettings(Settings):
     """Cost of an object's motion relative to the background's: undecided pixels become background."""
     hidden_by_known: float = setting(0.6, minimum=0)
     """Cost of having been hidden behind an object that is known to have been there."""
+    full_contrast: float = setting(25.0, above=0)
+    """Grey levels: local contrast of a surface from which a uniform colour no longer explains that it was hidden."""
     reach_base: float = setting(0.01, above=0)
     """Metres: distance from an object's known points at which its motion costs nothing extra, at depth 0."""
     reach_slope: float = setting(0.02, minimum=0)
     """Growth of that distance with the median depth."""
+    search_reach: float = setting(3.2, above=0)
+    """Distance around an object, in units of its reach, within which its motion competes for pixels; farther away the
+    extra cost of the distance exceeds any gain."""
+    anchor_gain: float = setting(1.0, minimum=0)
+    """Nats by which an object's motion must fit a point better than the background's for the point to be known to
+    follow it."""
+    min_anchors: int = setting(20, minimum=1)
+    """Fewest such points; an object with fewer is represented by all points of its mask."""
+    max_anchors: int = setting(500, minimum=1)
+    """Maximum number of these points, sampled evenly, to which distances are computed."""
     min_gap: float = setting(0.03, above=0)
     """Metres: pieces of one label that lie farther apart are separate objects."""
 
@@ -128,7 +140,7 @@ class Assignment:
         """The box of pixels within a few times `reach` of points (N, 3)."""
         camera = self.pair.curr.frame.camera
         pixels = geometry.project(points, camera)
-        margin = 3.2 * self.reach * camera.fx / max(0.1, float(points[:, 2].min()))
+        margin = self.settings.search_reach * self.reach * camera.fx / max(0.1, float(points[:, 2].min()))
         low, high = pixels.min(axis=0) - margin, pixels.max(axis=0) + margin + 1
         height, width = self.valid.shape
         top, bottom = (int(np.clip(value, 0, height)) for value in (low[1], high[1]))
@@ -163,7 +175,7 @@ class Assignment:
         self.rival_cost = self._background_cost_given(motions, masks)
         costs = [self.rival_cost]
         for number, (motion, points) in enumerate(zip(motions, anchors, strict=True)):
-            near = nearness_cost(self.points, points, self.reach)
+            near = nearness_cost(self.points, points, self.reach, self.settings.max_anchors)
             prior = self.settings.object_prior if priors is None else priors[number]
             costs.append(self.cost(motion, self.around(points)) + near + prior)
         probability = self._walker.solve(np.stack(costs), fine=fine)
@@ -172,8 +184,8 @@ class Assignment:
     def anchors(self, mask: BoolMask, motion: Float64Array) -> Float32Array:
         """(N, 3) points of a mask that its motion explains and the background's does not."""
         cost = self.cost(motion, self.around_mask(mask))
-        decided = mask & self.valid & (self.rival_cost - cost > 1)
-        return self.points[decided] if decided.sum() >= 20 else self.points[mask & self.valid]
+        decided = mask & self.valid & (self.rival_cost - cost > self.settings.anchor_gain)
+        return self.points[decided if decided.sum() >= self.settings.min_anchors else mask & self.valid]
 
     def _background_cost_given(self, motions: list[Float64Array], masks: list[BoolMask]) -> Float32Array:
         """The background's cost given known objects, behind which background may have been hidden.
@@ -192,7 +204,7 @@ class Assignment:
         dilated = cv2.dilate(occupied, np.ones((5, 5)))
         column, row, _ = self.pixels_in_prev(self.background, self.points)
         expected = self.hidden & (dilated[row, column] > 0)
-        texture = np.minimum(self.pair.curr.appearance.contrast[0] / 25, 1)
+        texture = np.minimum(self.pair.curr.appearance.contrast[0] / self.settings.full_contrast, 1)
         low = self.settings.hidden_by_known
         cost = low + (self._likelihood.hidden - low) * texture
         return np.where(expected, np.minimum(cost, self.background_cost), self.background_cost).astype(np.float32)
@@ -221,18 +233,19 @@ def _within(box: Box, other: Box) -> bool:
     return all(o.start <= b.start and b.stop <= o.stop for b, o in zip(box, other, strict=True))
 
 
-def nearness_cost(points: Float32Array, anchors: Float32Array, reach: float) -> Float32Array:
+def nearness_cost(points: Float32Array, anchors: Float32Array, reach: float, max_anchors: int) -> Float32Array:
     """Cost of each pixel's distance from the points that are known to follow a motion, up to 4.
 
     Args:
         points: (H, W, 3) metres.
         anchors: (N, 3) metres.
         reach: metres that cost nothing; twice as far costs 1.
+        max_anchors: maximum number of `anchors`, sampled evenly.
     """
     height, width = points.shape[:2]
     # Distance is smooth: computing it on every third row and column takes a ninth of the time.
     coarse = np.nan_to_num(points[1::3, 1::3], nan=1e3)
-    thinned = anchors[:: max(1, len(anchors) // 500)]
+    thinned = anchors[:: max(1, len(anchors) // max_anchors)]
     distance, _ = cKDTree(thinned).query(coarse.reshape(-1, 3), distance_upper_bound=4 * reach)
     far = np.clip(distance / reach - 1, 0, 2).reshape(coarse.shape[:2]) ** 2
     return np.asarray(cv2.resize(far.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR))

@@ -51,6 +51,8 @@ class ConsensusConfig(Settings):
     """Pixels: pixels are assigned to motions at this width, and labels are then upsampled to the full image."""
     min_object_share: float = setting(0.0012, above=0, below=1)
     """Share of the image: smaller objects are not reported."""
+    min_object_pixels: int = setting(12, minimum=1)
+    """Pixels at `label_width`: smaller objects are not reported either."""
     rounds: int = setting(3, minimum=1)
     """Rounds of assigning pixels and refining motions."""
     seed: int = setting(0, minimum=0)
@@ -61,6 +63,11 @@ class ConsensusConfig(Settings):
     """Maximum number of points per object that are registered, sampled evenly."""
     min_matches: int = setting(6, minimum=3)
     """Minimum number of matches inside a mask for their fit to be an initial motion."""
+    min_fit_gain: float = setting(6.0, minimum=0)
+    """Standard deviations, summed over the matches, by which their fit must improve on an initial motion to replace
+    it: about what its six free parameters explain."""
+    min_fit_gain_per_match: float = setting(0.1, minimum=0)
+    """The same per match; the larger of the two limits holds."""
     depth_noise: DepthNoiseName = "measured"
     """Noise model of the depth camera; measured: fitted to each pair."""
     matching: MatchSettings = MatchSettings()
@@ -146,7 +153,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
         assignment = Assignment(
             small,
             camera_motion,
-            min_pixels=max(12, round(self.min_object_share * small.curr.frame.depth.size)),
+            min_pixels=max(self.min_object_pixels, round(self.min_object_share * small.curr.frame.depth.size)),
             likelihood=self.likelihood,
             graph=self.graph,
             settings=self.assignment,
@@ -210,7 +217,7 @@ class ConsensusEstimator(ConsensusConfig, PairEstimator):
             own = movers[inside(mask, movers, frame.camera)]
             source = full.sources.take(upsample_mask(mask, frame.depth.shape), limit=self.max_points)
             if len(own.curr) >= self.min_matches:
-                initial = _better_initial(initial, own, full, self.fit)
+                initial = _better_initial(initial, own, full, self)
             motion = registration.refine(
                 full.target, source, initial, matches=own, settings=self.registration
             ).prev_T_curr
@@ -265,13 +272,15 @@ def _moving(matches: PixelMatches, background: Float64Array, pair: FramePair, si
 
 
 def _better_initial(
-    prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair, fit: FitSettings
+    prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair, config: ConsensusConfig
 ) -> Float64Array:
-    """The fit to the matches, where it is better than the motion so far by more than six free parameters explain."""
+    """The fit to the matches, where it is better than the motion so far by more than its free parameters explain."""
+    fit = config.fit
     fitted = fitting.fit_matches(matches, pair.curr.frame.camera, noise=pair.noise, settings=fit)[0]
     limit = fit.inlier_sigmas
     gain = _misfit(prev_T_curr, matches, pair, limit) - _misfit(fitted, matches, pair, limit)
-    return fitted if gain > max(6.0, 0.1 * len(matches.curr)) else prev_T_curr
+    least = max(config.min_fit_gain, config.min_fit_gain_per_match * len(matches.curr))
+    return fitted if gain > least else prev_T_curr
 
 
 def _misfit(prev_T_curr: Float64Array, matches: PixelMatches, pair: FramePair, limit: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -32,6 +32,10 @@ class PixelGraphSettings(Settings):
     """Grey levels: scale of the colour differences that weaken an edge."""
     min_color_similarity: float = setting(0.12, minimum=0, maximum=1)
     """Factor on an edge across any difference of colour: colour alone may be print, so it weakens an edge only."""
+    color_blur: float = setting(0.7, above=0)
+    """Pixels: standard deviation of the blur of colours before they are compared."""
+    depth_window: Literal[3, 5] = 5
+    """Pixels: width of the median filter of depth before normals are computed."""
     holes_factor: float = setting(0.05, minimum=0, maximum=1)
     """Factor on the edges of pixels without depth."""
     holes_color_scale: float = setting(15.0, above=0)
@@ -61,8 +65,8 @@ class PixelGraph:
         self.shape = depth.shape
         index = np.arange(depth.size).reshape(depth.shape)
         points = prepared.points
-        normals = surface_normals(cv2.medianBlur(depth, 5), frame.camera)
-        color = cv2.GaussianBlur(frame.color, (0, 0), 0.7).astype(np.float32)
+        normals = surface_normals(cv2.medianBlur(depth, settings.depth_window), frame.camera)
+        color = cv2.GaussianBlur(frame.color, (0, 0), settings.color_blur).astype(np.float32)
         heads, tails, weights, steps = [], [], [], []
         for here, there in (
             ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
@@ -125,6 +129,10 @@ def _edge_weights(
     return np.where(step, settings.step_weight, weight), step
 
 
+_MAX_PIECES = 40
+"""Largest pieces of one label that are searched for joins; the others are specks, and time grows with their square."""
+
+
 def split_regions(
     labels: LabelImage, points: Float32Array, graph: PixelGraph, *, min_pixels: int, gap: float
 ) -> list[tuple[int, BoolMask]]:
@@ -149,7 +157,7 @@ def split_regions(
     for label in np.unique(labels[labels > 0]):
         numbers = np.flatnonzero((label_of == label) & (sizes >= max(4, min_pixels // 4)))
         groups: list[tuple[BoolMask, cKDTree]] = []
-        for number in numbers[np.argsort(-sizes[numbers])][:40]:
+        for number in numbers[np.argsort(-sizes[numbers])][:_MAX_PIECES]:
             piece = pieces == number
             tree = cKDTree(points[piece])
             for position, (mask, other) in enumerate(groups):

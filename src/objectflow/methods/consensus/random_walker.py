@@ -10,6 +10,14 @@ from scipy.sparse.linalg import splu
 from objectflow.methods.consensus.pixel_graph import PixelGraph
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
+_DAMPING = 0.8
+"""Factor on the steps of Jacobi's method. With 4/5 it smooths the errors of a five-point Laplacian fastest."""
+_SMOOTHING_STEPS = 4
+"""Steps of Jacobi's method in each two-grid cycle."""
+_MIN_PRIOR = 1e-3
+"""Weight of the likelihood of a pixel whose motions cost the same, and the likelihood, relative to this weight, from
+which a motion may claim a pixel."""
+
 
 class RandomWalker:
     """Solves for label probabilities on one frame's pixel graph."""
@@ -34,7 +42,7 @@ class RandomWalker:
         likelihood = np.exp(-(costs - costs.min(0)))
         prior = (likelihood / likelihood.sum(0)).reshape(len(costs), -1).astype(np.float64)
         top = np.partition(prior, -2, axis=0)[-2:] if len(costs) > 1 else np.stack([prior[0] * 0, prior[0]])
-        weight = (top[1] - top[0]) + 1e-3
+        weight = (top[1] - top[0]) + _MIN_PRIOR
         solution = self._two_grid(weight, (prior * weight).T, cycles=2 if fine else 0)
         return np.asarray(solution.T.reshape(costs.shape), dtype=np.float32)
 
@@ -47,10 +55,10 @@ class RandomWalker:
         contested = self._contested(weight, right)
         coarse = _CoarseSystem(self._coarse_laplacian, self._blocks.T @ weight, contested)
         anchor = weight[:, None]
-        step = (0.8 / (self._laplacian.diagonal() + weight))[:, None]
+        step = (_DAMPING / (self._laplacian.diagonal() + weight))[:, None]
         solution = self._blocks @ coarse.solve(self._blocks.T @ right)
         for cycle in range(cycles):
-            for _ in range(4):
+            for _ in range(_SMOOTHING_STEPS):
                 solution += step * (right - self._laplacian @ solution - anchor * solution)
             if cycle + 1 < cycles:
                 residual = right - self._laplacian @ solution - anchor * solution
@@ -63,7 +71,7 @@ class RandomWalker:
         Label information reaches about sqrt(30) pixels; isolated blocks receive none and stay background.
         """
         height, width = self.shape
-        claim = (right[:, 1:].max(axis=1, initial=0) > 1e-3 * weight).astype(np.float64)
+        claim = (right[:, 1:].max(axis=1, initial=0) > _MIN_PRIOR * weight).astype(np.float64)
         touched = (self._blocks.T @ claim > 0).reshape((height + 1) // 2, (width + 1) // 2)
         return np.asarray(cv2.dilate(touched.astype(np.uint8), np.ones((9, 9))).ravel() > 0)
 

@@ -20,6 +20,8 @@ OBJECT_MASK_THRESHOLD = 0.1
 overlapping and static objects are removed later; chosen on validation pairs and on real pairs."""
 OVERLAP_THRESHOLD = 0.5
 """Minimum share of its mask, 0..1, that an object keeps where masks overlap; an object with less is removed."""
+MASK_THRESHOLD = 0.5
+"""Probability, 0..1, above which a pixel belongs to a mask, and above which an object is decoded as moving."""
 MIN_PIXELS = 20
 """Minimum size of an object in pixels of the network's input."""
 
@@ -110,7 +112,7 @@ def decode(
             id=k + 1,
             pixels=counts[k],
             score=float(score[k]),
-            moving=bool(moves[k] > 0.5),
+            moving=bool(moves[k] > MASK_THRESHOLD),
             center=center[k],
             prev_T_curr=transforms[k],
         )
@@ -131,10 +133,10 @@ def resolve_overlaps(
         overlap_threshold: minimum share of its pixels that a mask keeps.
 
     Returns:
-        (P,) number from 1 of the pixel's mask among the remaining masks, 0 where the mask probability is at most 0.5;
-        the number of pixels of each remaining mask; the indices of the remaining masks.
+        (P,) number from 1 of the pixel's mask among the remaining masks, 0 where the mask probability is at most
+        `MASK_THRESHOLD`; the number of pixels of each remaining mask; the indices of the remaining masks.
     """
-    inside = claim > 0.5
+    inside = claim > MASK_THRESHOLD
     areas = inside.sum(1).cpu().numpy()
     scores = claim * sure[:, None]
     winner = scores.argmax(dim=0)
