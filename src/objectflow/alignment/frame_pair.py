@@ -5,12 +5,16 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
+from objectflow import geometry
 from objectflow.alignment.matching import DEFAULTS as MATCHING
 from objectflow.alignment.matching import MatchSettings, PixelMatches, match_frames
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSources, RegistrationTarget
 from objectflow.frame import RgbdFrame, check_pair
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
+from objectflow.typing import Float64Array
 
 MATCH_WIDTH = 640
 """Pixels: width at which frames are matched and registered. A larger one costs time, and depth is no more exact."""
@@ -42,15 +46,20 @@ class FramePair:
         self.noise, self.matching = noise, matching
         self._at: dict[int, FramePair] = {}
         self.memo: dict[object, Any] = {}
+        self._carried: tuple[FramePair, Float64Array] | None = None
 
     def at_width(self, width: int) -> FramePair:
         """The pair downscaled to a width in pixels; itself where it is no wider."""
         if self.curr.frame.camera.width <= width:
             return self
         if width not in self._at:
-            self._at[width] = FramePair(
+            smaller = FramePair(
                 self.prev.at_width(width), self.curr.at_width(width), noise=self.noise, matching=self.matching
             )
+            if self._carried is not None:
+                source, seen_T_prev = self._carried
+                smaller._carried = source.at_width(width), seen_T_prev
+            self._at[width] = smaller
         return self._at[width]
 
     def with_noise(self, noise: DepthNoise) -> FramePair:
@@ -59,6 +68,7 @@ class FramePair:
             return self
         pair = FramePair(self.prev, self.curr, noise=noise, matching=self.matching)
         pair._at = {width: smaller.with_noise(noise) for width, smaller in self._at.items()}
+        pair._carried = self._carried
         if "matches" in vars(self):
             vars(pair)["matches"] = self.matches  # matches do not depend on the noise
         return pair
@@ -69,6 +79,17 @@ class FramePair:
             return self
         return FramePair(self.prev, self.curr, noise=self.noise, matching=matching)
 
+    def with_previous(self, prev: RgbdFrame, seen_T_prev: Float64Array) -> FramePair:
+        """The pair with its previous frame as another camera pose saw it; matches are carried along.
+
+        Args:
+            prev: the frame rendered from that pose.
+            seen_T_prev: (4, 4) from the previous camera to that pose.
+        """
+        pair = FramePair(prev, self.curr, noise=self.noise, matching=self.matching)
+        pair._carried = self, np.asarray(seen_T_prev, dtype=np.float64)
+        return pair
+
     def followed_by(self, frame: RgbdFrame) -> FramePair:
         """The next pair of a sequence: this pair's current frame, prepared already, becomes the previous one."""
         return FramePair(self.curr, frame, noise=self.noise, matching=self.matching)
@@ -76,6 +97,12 @@ class FramePair:
     @cached_property
     def matches(self) -> PixelMatches:
         """Matches between the frames, by optical flow and by features."""
+        if self._carried is not None:
+            source, seen_T_prev = self._carried
+            found = source.matches
+            return PixelMatches(
+                found.pixels, found.curr, geometry.transform(seen_T_prev, found.prev).astype(np.float32)
+            )
         return match_frames(self.prev, self.curr, self.matching)
 
     @cached_property

@@ -32,6 +32,8 @@ class MatchSettings(Settings):
     """Largest squared difference of forward and backward flow, relative to the sum of their squared lengths."""
     flow_error: float = setting(0.5, minimum=0)
     """Square pixels, added to that difference."""
+    feature_width: int = setting(640, minimum=16)
+    """Pixels: wider frames are downscaled to it before features are detected."""
     max_features: int = setting(1500, minimum=1)
     """Maximum number of SIFT features per frame."""
     min_contrast: float = setting(0.02, minimum=0)
@@ -178,12 +180,21 @@ def feature_matches(
 ) -> PixelMatches:
     """Mutual SIFT matches that pass the ratio test; they span displacements too large for optical flow."""
     prev, curr = PreparedFrame.of(prev), PreparedFrame.of(curr)
-    here, there = (frame.keypoints(settings.max_features, settings.min_contrast) for frame in (curr, prev))
+    width = settings.feature_width
+    here, there = (
+        frame.at_width(width).keypoints(settings.max_features, settings.min_contrast) for frame in (curr, prev)
+    )
     if len(here.pixels) < 2 or len(there.pixels) < 2:
         empty = np.zeros((0, 2), np.float32)
         return lift(empty, empty, prev.frame, curr.frame)[0]
     curr_index, prev_index = _match_descriptors(here.descriptors, there.descriptors, settings.max_descriptor_ratio)
-    return lift(here.pixels[curr_index], there.pixels[prev_index], prev.frame, curr.frame, settings)[0]
+    # Pixel centres of the downscaled frame, on the pixels of the frame itself.
+    scale = curr.frame.camera.width / curr.at_width(width).frame.camera.width
+    curr_pixels, prev_pixels = (
+        (pixels + np.float32(0.5)) * np.float32(scale) - np.float32(0.5)
+        for pixels in (here.pixels[curr_index], there.pixels[prev_index])
+    )
+    return lift(curr_pixels, prev_pixels, prev.frame, curr.frame, settings)[0]
 
 
 def _match_descriptors(curr: Float32Array, prev: Float32Array, ratio: float) -> tuple[IndexArray, IndexArray]:

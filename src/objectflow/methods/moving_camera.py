@@ -157,7 +157,7 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         )
         if seen is None:
             return _Compensated(None, camera)
-        return _Compensated(FramePair(seen, pair.curr, noise=pair.noise, matching=pair.matching), camera)
+        return _Compensated(pair.with_previous(seen, geometry.inverse(camera.prev_T_curr)), camera)
 
 
 @dataclass(frozen=True)

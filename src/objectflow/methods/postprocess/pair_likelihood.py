@@ -25,6 +25,7 @@ class PairLikelihood:
     def __init__(self, pair: FramePair, settings: LikelihoodSettings) -> None:
         self.pair, self._settings = pair.at_width(settings.width), settings
         self.points = self.pair.curr.points
+        self._costs: dict[tuple[bytes, bytes, float | None], Float32Array] = {}
         self._static: tuple[Float32Array, BoolMask] | None = None
         self._static_depth: tuple[Float32Array, BoolMask] | None = None
 
@@ -52,12 +53,15 @@ class PairLikelihood:
         return np.asarray((labels == number) & self.pair.curr.valid)
 
     def cost(self, prev_T_curr: Float64Array, mask: BoolMask, *, out_of_view: float | None = None) -> Float32Array:
-        """(N,) cost of the pixels of a mask, row by row, under a motion; see `motion_cost`."""
-        rows, columns = np.nonzero(mask)
-        if not len(rows):
-            return np.zeros(0, np.float32)
-        box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
-        return self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
+        """(N,) cost of the pixels of a mask, row by row, under a motion; see `motion_cost`. Costs are kept."""
+        key = prev_T_curr.tobytes(), np.packbits(mask).tobytes(), out_of_view
+        if key not in self._costs:
+            rows, columns = np.any(mask, axis=1).nonzero()[0], np.any(mask, axis=0).nonzero()[0]
+            if not len(rows):
+                return np.zeros(0, np.float32)
+            box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+            self._costs[key] = self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
+        return self._costs[key]
 
     def static_cost(self) -> tuple[Float32Array, BoolMask]:
         """(H, W) cost of standing still under any light, and (H, W) bool: pixels that were hidden."""
