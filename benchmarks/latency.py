@@ -5,7 +5,7 @@ process, so that its peak memory can be measured.
 
 Networks are timed at the paper's 240x320 in a separate table, part by part. Where no weights are released they are
 random, at the paper's width. The time of the network does not depend on its weights, but that of the grouping does, so
-the grouping and all later parts are given true maps with noise.
+the grouping and all later parts are given true maps with noise. `--stages` prints the time of every stage instead.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from stages import measure_stages
+
 REFERENCE = "dense-flow"
 T = TypeVar("T")
 
@@ -48,6 +50,8 @@ class Settings:
     """Learned methods by name."""
     rigidmatch: tuple[str, ...] = ("full", "cpu")
     """Sizes of `rigidmatch` with random weights; may be empty."""
+    stages: bool = False
+    """Print the seconds of every stage of the methods instead, with one and with two threads."""
     device: str = "cpu"
     """Device of the networks."""
     threads: int = 2
@@ -257,7 +261,35 @@ def time_networks(settings: Settings) -> None:
     Console(width=110).print(table)
 
 
+def time_stages(settings: Settings) -> None:
+    """Stages of each method, beside the whole of the reference."""
+    for method in dict.fromkeys((REFERENCE, *settings.methods)):
+        times = {
+            (width, threads): alone(measure_stages, method, width, settings.pairs, threads)
+            for width in settings.sizes
+            for threads in (1, 2)
+        }
+        table = Table(title=f"{method}: median milliseconds per pair, wall / CPU")
+        table.add_column("stage")
+        for width, threads in times:
+            table.add_column(f"{width}x{width * 3 // 4}, {threads} thread{'s' * (threads > 1)}", justify="right")
+        first = next(iter(times.values()))
+        for stage in sorted(
+            {stage for found in times.values() for stage in found}, key=lambda s: -first.get(s, (0,))[0]
+        ):
+            cells = (found.get(stage, (0.0, 0.0)) for found in times.values())
+            table.add_row(stage, *(f"{1000 * wall:.0f} / {1000 * cpu:.0f}" for wall, cpu in cells))
+        Console(width=150).print(table)
+
+
+def _longest_first(times: dict[str, tuple[float, float]], stage: str) -> float:
+    return -times.get(stage, (0.0, 0.0))[0]
+
+
 def main(settings: Settings) -> None:
+    if settings.stages:
+        time_stages(settings)
+        return
     if settings.methods:
         time_methods(settings)
     if settings.networks:
