@@ -20,7 +20,10 @@ from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import MissedObjectSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
-from objectflow.typing import BoolMask, LabelImage
+from objectflow.typing import BoolMask, LabelImage, UInt8Array
+
+_MIN_JUDGED = 4
+"""Fewest changed pixels of a 3x3 window, the others having no depth, for the window to count as changed."""
 
 
 def recover_missed_objects(
@@ -73,7 +76,7 @@ def _unexplained(
     resting = np.isin(small, [obj.id for obj in objects if not obj.moving])
     cost, hidden = likelihood.static_cost()
     changed = resting & (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden
-    core = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
+    core = _opened(changed, likelihood.pair.curr.valid)
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     large = np.flatnonzero(sizes >= settings.min_object_share * cost.size)
@@ -87,10 +90,18 @@ def _has_changed(likelihood: PairLikelihood, known: BoolMask, settings: MissedOb
     own = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     cost, hidden = likelihood.static_cost()
     changed = (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden & ~own
-    core = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    core = _opened(changed, likelihood.pair.curr.valid)
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
     return bool((sizes >= settings.min_object_share * cost.size).any())
+
+
+def _opened(changed: BoolMask, valid: BoolMask) -> UInt8Array:
+    """Changed pixels without thin and small parts: a 3x3 opening in which scattered holes of the depth are neutral."""
+    kernel = np.ones((3, 3), np.uint8)
+    count = cv2.boxFilter(changed.astype(np.float32), -1, (3, 3), normalize=False)
+    inner = (cv2.erode((changed | ~valid).astype(np.uint8), kernel) > 0) & (count >= _MIN_JUDGED)
+    return np.asarray(cv2.dilate(inner.astype(np.uint8), kernel), dtype=np.uint8)
 
 
 def _attach_or_drop(

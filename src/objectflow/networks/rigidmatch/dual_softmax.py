@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
@@ -60,7 +59,8 @@ def dual_softmax_mean_of_product(
     for part, rows in zip(torch.split(raised, _ROWS, 1), torch.split(left, _ROWS, 1), strict=True):
         torch.matmul(rows, across, out=part)
         # Adding two passes within the cache makes the exponential and all later products several times as fast.
-        F.threshold_(part.sub_(_LEVEL).clamp_min_(_LOWEST).exp_(), _SMALLEST, 0.0)
+        part.sub_(_LEVEL).clamp_min_(_LOWEST).exp_()
+        part *= part > _SMALLEST
         column += part.sum(1)
         sums.append(part.sum(2))
     row = (torch.cat(sums, dim=1) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
