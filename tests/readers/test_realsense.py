@@ -13,6 +13,7 @@ import pytest
 
 from objectflow.cli import main
 from objectflow.errors import MissingExtraError, ReaderError
+from objectflow.readers.camera_driver import WARM_UP
 
 SCALE = 0.00025
 
@@ -113,7 +114,7 @@ def test_frames_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(first.depth, 1.0, rtol=1e-6)
     assert (first.camera.width, first.camera.fx, first.camera.cy) == (8, 9.0, 2.5)
     # The first frames are skipped until the exposure has converged.
-    assert first.color[0, 0, 0] == 20 - module.WARM_UP - 1
+    assert first.color[0, 0, 0] == 20 - WARM_UP - 1
     assert first.timestamp == 100 - first.color[0, 0, 0]
     frames.close()
     assert (driver.started, driver.stopped, driver.serial) == (1, 1, "123")
