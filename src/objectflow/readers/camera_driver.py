@@ -143,10 +143,11 @@ def read_camera(driver: CameraDriver, request: StreamRequest | None = None) -> G
             of `MAX_UNUSABLE` consecutive frames was usable.
     """
     request = request or StreamRequest()
+    failures: tuple[type[Exception], ...] = (TimeoutError, *driver.errors)
     try:
         try:
             driver.open(request)
-        except (TimeoutError, *driver.errors) as error:
+        except failures as error:
             reason = " ".join(str(error).split())
             advice = "plug it in, close other programs that use it, or try another size"
             raise ReaderError(f"no {driver.title} camera ({reason}): {advice}") from error
@@ -160,6 +161,7 @@ def _frames(driver: CameraDriver, max_depth: float | None) -> Generator[RgbdFram
     to_frame: _FrameMaker | None = None
     skipped = unusable = 0
     reason: FrameError | None = None
+    failures: tuple[type[Exception], ...] = (TimeoutError, *driver.errors)
     while unusable < MAX_UNUSABLE:
         try:
             images = driver.read()
@@ -171,7 +173,7 @@ def _frames(driver: CameraDriver, max_depth: float | None) -> Generator[RgbdFram
         except FrameError as error:
             unusable, reason = unusable + 1, error
             continue
-        except (TimeoutError, *driver.errors) as error:
+        except failures as error:
             raise ReaderError(f"the {driver.title} camera stopped: {error}: is it still plugged in?") from error
         unusable = 0
         yield frame

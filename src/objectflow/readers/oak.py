@@ -83,8 +83,8 @@ class Oak(CameraDriver):
 
     def camera(self) -> ImageCamera:
         """The camera model of the colour images, which the camera undistorts, crops and scales."""
-        K = self._transformation.getIntrinsicMatrix()
-        return ImageCamera(Camera(*self._transformation.getSize(), K[0][0], K[1][1], K[0][2], K[1][2]))
+        K, (width, height) = self._transformation.getIntrinsicMatrix(), self._transformation.getSize()
+        return ImageCamera(Camera(width, height, K[0][0], K[1][1], K[0][2], K[1][2]))
 
     def close(self) -> None:
         """Stop the camera."""
