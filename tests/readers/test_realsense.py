@@ -13,6 +13,7 @@ import pytest
 
 from objectflow.cli import main
 from objectflow.errors import MissingExtraError, ReaderError
+from objectflow.readers.camera_driver import WARM_UP
 
 SCALE = 0.00025
 
@@ -27,6 +28,8 @@ class Driver:
         self.streams: list[tuple[Any, ...]] = []
         self.file: tuple[str, bool] | None = None
         self.format = "rgb8"
+        self.blind: set[int] = set()
+        self.serial: str | None = None
 
     def module(self) -> ModuleType:
         out = ModuleType("pyrealsense2")
@@ -93,7 +96,7 @@ class Driver:
         )
         behind = 0.0 if self.file is None else 40.0 * (number % 2)
         depth = SimpleNamespace(
-            get_data=lambda: np.full((6, 8), 4000 + int(behind), np.uint16),
+            get_data=lambda: np.full((6, 8), 0 if count in self.blind else 4000 + int(behind), np.uint16),
             get_timestamp=lambda: 1000.0 * (100 - count) - behind,
         )
         return SimpleNamespace(get_color_frame=lambda: color, get_depth_frame=lambda: depth)
@@ -113,10 +116,30 @@ def test_frames_of_a_camera(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(first.depth, 1.0, rtol=1e-6)
     assert (first.camera.width, first.camera.fx, first.camera.cy) == (8, 9.0, 2.5)
     # The first frames are skipped until the exposure has converged.
-    assert first.color[0, 0, 0] == 20 - module.WARM_UP - 1
+    assert first.color[0, 0, 0] == 20 - WARM_UP - 1
     assert first.timestamp == 100 - first.color[0, 0, 0]
     frames.close()
     assert (driver.started, driver.stopped, driver.serial) == (1, 1, "123")
+
+
+def test_a_frame_without_depth_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver = Driver(20)
+    driver.blind = {3}
+    frames = reader(monkeypatch, driver).read_realsense()
+    assert [next(frames).color[0, 0, 0], next(frames).color[0, 0, 0], next(frames).color[0, 0, 0]] == [4, 2, 1]
+
+
+def test_live_requests_a_serial_number_a_size_and_a_rate(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for words, size in ((["--serial", "77", "--size", "848", "480", "--rate", "15"], (848, 480)), ([], (640, 480))):
+        driver = Driver(20)
+        reader(monkeypatch, driver)
+        assert main(["live", "realsense", "--method", "zero", *words]) == 2
+        assert "the RealSense camera stopped" in capsys.readouterr().err
+        rate = 15 if words else 30
+        assert driver.streams == [("color", *size, "rgb8", rate), ("depth", *size, "z16", rate)]
+        assert (driver.serial, driver.stopped) == ("77" if words else None, 1)
 
 
 def test_a_recording_is_read_to_its_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ from objectflow.cli.output import check_not_below_a_file
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.live import NewestFrame, Step, follow, replay
+from objectflow.readers.camera_driver import StreamRequest, read_camera
+from objectflow.readers.camera_registry import CAMERAS, make_driver, suggestion
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.temporaries import sweep
@@ -28,6 +30,8 @@ from objectflow.view.viewer_frames import tracked_frames
 EXAMPLES = """\
   objectflow live realsense
   objectflow live realsense --view
+  objectflow live orbbec --size 1280 720 --rate 30
+  objectflow live oak --serial 14442C1051B665D700
   objectflow live realsense:recorded.bag
   objectflow live realsense --min-gap 0.5 --seconds 60 --out session
   objectflow live table.bag --method consensus
@@ -35,6 +39,7 @@ EXAMPLES = """\
 """
 
 REALSENSE = "realsense"
+"""The camera whose own recordings are read."""
 HISTORY = 100_000
 """Number of poses kept per object for `--out`: one hour at the rate of the fastest method."""
 
@@ -47,9 +52,18 @@ class Live(ViewArguments, SourceArguments, MethodArguments):
     Ctrl-C stops. With --out, trajectories are written at the end.
     """
 
-    source: Annotated[Positional[str], option("realsense | realsense:FILE | SOURCE")]
-    """A RealSense camera, a recording of its driver (.bag, .db3), or any source of `objectflow run`; recordings are
-    played in real time."""
+    source: Annotated[Positional[str], option(f"{' | '.join(CAMERAS)} | {REALSENSE}:FILE | SOURCE")]
+    """A camera (RealSense, Orbbec or OAK-D), a recording of RealSense's driver (.bag, .db3), or any source of
+    `objectflow run`; recordings are played in real time."""
+
+    serial: Annotated[str | None, option("TEXT", "any connected camera of the kind")] = None
+    """Serial number of the camera."""
+
+    size: Annotated[tuple[int, int] | None, option("WIDTH HEIGHT", "the driver's")] = None
+    """Size of the colour image of a camera, pixels."""
+
+    rate: Annotated[int | None, option("HZ", "the driver's")] = None
+    """Frames per second of a camera."""
 
     min_gap: float = 0.3
     """Smallest time between two compared frames, seconds, so that slow objects move measurably."""
@@ -103,12 +117,23 @@ class Live(ViewArguments, SourceArguments, MethodArguments):
             print(f"{len(tracker.tracks)} objects followed, written to {self.out}")
 
     def _open(self) -> Iterable[RgbdFrame]:
-        device, _, recording = self.source.partition(":")
-        if device == REALSENSE:
+        kind, _, recording = self.source.partition(":")
+        if kind in CAMERAS and not recording:
+            return read_camera(make_driver(kind), StreamRequest(self.serial, self.size, self.rate, self.max_depth))
+        if (self.serial, self.size, self.rate) != (None, None, None):
+            raise ReaderError(f"--serial, --size and --rate are for cameras ({', '.join(CAMERAS)})")
+        if kind == REALSENSE:
             from objectflow.readers.realsense import read_realsense
 
-            return read_realsense(Path(recording) if recording else None, real_time=True)
-        return replay(self.open_path(Path(self.source)), speed=self.speed, loop=self.loop)
+            return read_realsense(Path(recording), real_time=True)
+        if kind in CAMERAS:
+            raise ReaderError(f"{self.source}: only recordings of {REALSENSE} can be played: record a bag instead")
+        path, hint = Path(self.source), suggestion(kind)
+        if hint and not path.exists():
+            raise ReaderError(
+                f"{self.source}: no such folder, recording or camera: {hint}cameras: {', '.join(CAMERAS)}"
+            )
+        return replay(self.open_path(path), speed=self.speed, loop=self.loop)
 
 
 def step_line(step: Step) -> str:

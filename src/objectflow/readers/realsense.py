@@ -10,29 +10,73 @@ from typing import Any
 
 import numpy as np
 
-from objectflow.errors import MissingExtraError, ReaderError
+from objectflow.errors import FrameError, ReaderError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
+from objectflow.readers.camera_driver import (
+    TIMEOUT_MS,
+    CameraDriver,
+    CameraImages,
+    StreamRequest,
+    import_library,
+    read_camera,
+)
+from objectflow.readers.camera_info import ImageCamera
+from objectflow.storage.image_files import to_metres
 
-try:
-    import pyrealsense2 as rs
-except ModuleNotFoundError as error:
-    raise MissingExtraError("RealSense cameras need pyrealsense2", "realsense") from error
-except ImportError as error:
-    raise MissingExtraError(f"pyrealsense2 is installed, but it lacks a system library: {error}") from error
+rs: Any = import_library("pyrealsense2", "RealSense", "realsense")
 
-WARM_UP = 15
-"""Number of initial frames that are skipped until the auto-exposure has converged."""
-TIMEOUT_MS = 5000
-"""Longest wait for a frame, milliseconds."""
+DEFAULT_SIZE = 640, 480
+"""Width and height of colour and depth, pixels, unless others are requested."""
+DEFAULT_RATE = 30
+"""Frames per second, unless others are requested."""
+
+
+class RealSense(CameraDriver):
+    """Cameras of the RealSense family by librealsense."""
+
+    title = "RealSense"
+    errors = (RuntimeError,)
+
+    def __init__(self) -> None:
+        self._pipeline: Any = None
+
+    def open(self, request: StreamRequest) -> None:
+        """Start colour and depth of one size."""
+        pipeline, config = rs.pipeline(), rs.config()
+        if request.serial is not None:
+            config.enable_device(request.serial)
+        (width, height), rate = request.size or DEFAULT_SIZE, request.rate or DEFAULT_RATE
+        config.enable_stream(rs.stream.color, width, height, rs.format.rgb8, rate)
+        config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
+        profile = pipeline.start(config)
+        self._pipeline, self._align = pipeline, rs.align(rs.stream.color)
+        self._camera, self._scale = _camera(profile), _depth_scale(profile)
+
+    def read(self) -> CameraImages:
+        """Wait for the next images."""
+        frames = self._align.process(self._pipeline.wait_for_frames(TIMEOUT_MS))
+        color, depth = frames.get_color_frame(), frames.get_depth_frame()
+        if not color or not depth:
+            raise FrameError("a set of frames lacks colour or depth")
+        return _images(color, depth, self._scale)
+
+    def camera(self) -> ImageCamera:
+        """The camera model of the colour images."""
+        return ImageCamera(self._camera)
+
+    def close(self) -> None:
+        """Stop the camera."""
+        if self._pipeline is not None:
+            self._pipeline.stop()
 
 
 def read_realsense(
     recording: Path | None = None,
     *,
-    width: int = 640,
-    height: int = 480,
-    rate: int = 30,
+    width: int = DEFAULT_SIZE[0],
+    height: int = DEFAULT_SIZE[1],
+    rate: int = DEFAULT_RATE,
     serial: str | None = None,
     real_time: bool = False,
 ) -> Generator[RgbdFrame, None, None]:
@@ -50,52 +94,39 @@ def read_realsense(
         ReaderError: there is no camera, it does not support this size, it stopped delivering frames, or the recording
             cannot be read or lacks colour or depth.
     """
-    if recording is not None and not recording.is_file():
+    if recording is None:
+        yield from read_camera(RealSense(), StreamRequest(serial, (width, height), rate))
+        return
+    if not recording.is_file():
         raise ReaderError(f"{recording}: no such file")
     pipeline, config = rs.pipeline(), rs.config()
     try:
-        if recording is None:
-            if serial is not None:
-                config.enable_device(serial)
-            config.enable_stream(rs.stream.color, width, height, rs.format.rgb8, rate)
-            config.enable_stream(rs.stream.depth, width, height, rs.format.z16, rate)
-        else:
-            config.enable_device_from_file(str(recording), repeat_playback=False)
-            # Recordings do not resolve streams that are requested with an explicit format.
-            config.enable_stream(rs.stream.color)
-            config.enable_stream(rs.stream.depth)
-            # Must be set before the pipeline starts, or the first frames are lost.
-            playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
-            playback.set_real_time(real_time)
+        config.enable_device_from_file(str(recording), repeat_playback=False)
+        # Recordings do not resolve streams that are requested with an explicit format.
+        config.enable_stream(rs.stream.color)
+        config.enable_stream(rs.stream.depth)
+        # Must be set before the pipeline starts, or the first frames are lost.
+        playback = config.resolve(rs.pipeline_wrapper(pipeline)).get_device().as_playback()
+        playback.set_real_time(real_time)
         profile = pipeline.start(config)
     except RuntimeError as error:
-        what = f"{recording}: not a RealSense recording that can be read" if recording else "no RealSense camera"
-        advice = "" if recording else ": plug it in, close other programs that use it, or try another size"
-        raise ReaderError(f"{what} ({' '.join(str(error).split())}){advice}") from error
+        reason = " ".join(str(error).split())
+        raise ReaderError(f"{recording}: not a RealSense recording that can be read ({reason})") from error
     try:
-        scale = float(profile.get_device().first_depth_sensor().get_depth_scale())
-        camera = _camera(profile)
-        found = _aligned(pipeline, ends=recording is not None)
-        if recording is None:
-            for color, depth in itertools.islice(found, WARM_UP, None):
-                yield _frame(color, depth, camera, scale)
-        else:
-            yield from _matched(found, camera, scale)
+        yield from _matched(_recorded(pipeline), _camera(profile), _depth_scale(profile))
     finally:
-        with contextlib.suppress(RuntimeError):  # it may have been unplugged
+        with contextlib.suppress(RuntimeError):
             pipeline.stop()
 
 
-def _aligned(pipeline: Any, *, ends: bool) -> Iterator[tuple[Any, Any]]:
-    """Colour and aligned depth frames as the driver combines them; `ends` marks a source that may end."""
+def _recorded(pipeline: Any) -> Iterator[tuple[Any, Any]]:
+    """Colour and aligned depth frames as the driver combines them, to the end of a recording."""
     align = rs.align(rs.stream.color)
     while True:
         try:
             frames = align.process(pipeline.wait_for_frames(TIMEOUT_MS))
-        except RuntimeError as error:
-            if ends:
-                return
-            raise ReaderError(f"the RealSense camera stopped: {error}: is it still plugged in?") from error
+        except RuntimeError:
+            return
         color, depth = frames.get_color_frame(), frames.get_depth_frame()
         if color and depth:
             yield color, depth
@@ -107,13 +138,16 @@ def _matched(found: Iterator[tuple[Any, Any]], camera: Camera, scale: float) -> 
     A recording that is not played in real time yields a frame set whenever either image is new.
     """
     for _, sets in itertools.groupby(found, key=lambda pair: pair[0].get_frame_number()):
-        best: tuple[float, RgbdFrame] | None = None
+        best: tuple[float, CameraImages] | None = None
         for color, depth in sets:
             difference = abs(color.get_timestamp() - depth.get_timestamp())
             if best is None or difference < best[0]:
-                best = difference, _frame(color, depth, camera, scale)
+                best = difference, _images(color, depth, scale)
         if best is not None:
-            yield best[1]
+            images = best[1]
+            name = f"RealSense at {images.seconds:.3f} s"
+            metres = to_metres(images.depth, depth_scale=images.depth_scale)
+            yield RgbdFrame(images.color, metres, camera, timestamp=images.seconds, name=name)
 
 
 def _camera(profile: Any) -> Camera:
@@ -122,7 +156,12 @@ def _camera(profile: Any) -> Camera:
     return Camera(*size, intrinsics.fx, intrinsics.fy, intrinsics.ppx, intrinsics.ppy)
 
 
-def _frame(color: Any, depth: Any, camera: Camera, scale: float) -> RgbdFrame:
+def _depth_scale(profile: Any) -> float:
+    """Units of depth per metre; the driver states metres per unit."""
+    return 1 / float(profile.get_device().first_depth_sensor().get_depth_scale())
+
+
+def _images(color: Any, depth: Any, scale: float) -> CameraImages:
     # Copied because the driver reuses its buffers.
     pixels = np.array(color.get_data(), dtype=np.uint8)
     kind = color.get_profile().format()
@@ -130,6 +169,5 @@ def _frame(color: Any, depth: Any, camera: Camera, scale: float) -> RgbdFrame:
         raise ReaderError(f"RealSense colour is {kind}: record it as RGB8")
     if kind == rs.format.bgr8:
         pixels = np.ascontiguousarray(pixels[..., ::-1])
-    metres = np.asarray(depth.get_data(), dtype=np.float32) * np.float32(scale)
-    seconds = float(color.get_timestamp()) / 1000
-    return RgbdFrame(pixels, metres, camera, timestamp=seconds, name=f"RealSense at {seconds:.3f} s")
+    values = np.array(depth.get_data(), dtype=np.uint16)
+    return CameraImages(pixels, values, scale, seconds=float(color.get_timestamp()) / 1000)
