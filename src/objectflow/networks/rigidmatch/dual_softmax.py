@@ -59,8 +59,7 @@ def dual_softmax_mean_of_product(
     for part, rows in zip(torch.split(raised, _ROWS, 1), torch.split(left, _ROWS, 1), strict=True):
         torch.matmul(rows, across, out=part)
         # Adding two passes within the cache makes the exponential and all later products several times as fast.
-        part.sub_(_LEVEL).clamp_min_(_LOWEST).exp_()
-        part *= part > _SMALLEST
+        torch.threshold_(part.sub_(_LEVEL).clamp_min_(_LOWEST).exp_(), _SMALLEST, 0.0)
         column += part.sum(1)
         sums.append(part.sum(2))
     row = (torch.cat(sums, dim=1) + torch.exp(dustbin - _LEVEL)).clamp_min(_LEAST)
