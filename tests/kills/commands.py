@@ -9,6 +9,7 @@ import types
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -107,14 +108,20 @@ def generate_scenes(folder: Path) -> None:
     raise SystemExit(main(["generate", "--out", str(folder / "set"), *options]))
 
 
-def fit(folder: Path) -> None:
+def fit(folder: Path, **changes: Any) -> None:
     """What `train` does, with every feature whose state a resumed run must restore."""
     torch.set_num_threads(1)
     recipe = dataclasses.replace(
         RECIPE, steps=2, batch_size=2, validate_every=1, validation_pairs=2, log_every=1, keep_checkpoints=1,
         checkpoint_minutes=0.0,
     )  # fmt: skip
+    recipe = dataclasses.replace(recipe, **changes)
     loop.train(job(folder / "data", folder / "out", recipe, resume=True))
+
+
+def fit_without_validation(folder: Path) -> None:
+    """The last weights are kept instead of the best."""
+    fit(folder, steps=1, validation_pairs=0)
 
 
 def train(folder: Path) -> None:
@@ -133,4 +140,5 @@ COMMANDS: dict[str, tuple[Command, Make]] = {
     "generate fake scenes": (generate_fake_scenes, nothing),
     "train": (train, write_pairs),
     "train with every feature": (fit, write_pairs),
+    "train without validation": (fit_without_validation, write_pairs),
 }
