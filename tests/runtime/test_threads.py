@@ -27,7 +27,7 @@ def two_threads() -> Iterator[None]:
 
 
 def frames(seed: int) -> tuple[RgbdFrame, RgbdFrame]:
-    scene = analytic.make_scene(seed, width=96, height=72)
+    scene = analytic.make_scene(seed, width=160, height=120)
     return scene.prev, scene.curr
 
 
