@@ -6,7 +6,9 @@ z up, plane at z = 0. Rays are `t * (x, y, 1)` in a camera frame, so `t` is the 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -129,11 +131,31 @@ def make_scene(
         depth_noise: standard deviation of depth at 1 m in metres; grows with the square of depth.
         camera_motion: (4, 4) `prev_T_curr` of the static world for a moving camera; None for a static camera.
     """
+    key = None if camera_motion is None else np.asarray(camera_motion, np.float64).tobytes()
+    # The same scene is requested by many tests; each receives a copy of its own.
+    return copy.deepcopy(
+        _make_scene(seed, objects, width, height, motion, max_angle_deg, moving_share, depth_noise, key)
+    )
+
+
+@lru_cache(maxsize=64)
+def _make_scene(
+    seed: int,
+    objects: tuple[int, int],
+    width: int,
+    height: int,
+    motion: tuple[float, float],
+    max_angle_deg: float,
+    moving_share: float,
+    depth_noise: float,
+    camera_motion: bytes | None,
+) -> AnalyticPair:
     rng = np.random.default_rng(seed)
     static_camera = camera_motion is None
-    curr_T_prev_camera: Float64Array = (
-        np.eye(4) if static_camera else np.linalg.inv(np.asarray(camera_motion, np.float64))
+    world_motion: Float64Array = (
+        np.eye(4) if camera_motion is None else np.frombuffer(camera_motion, np.float64).reshape(4, 4)
     )
+    curr_T_prev_camera: Float64Array = np.eye(4) if static_camera else np.linalg.inv(world_motion)
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     plane = draw_texture(rng, np.array([512, 512]), plane=True)
@@ -156,7 +178,6 @@ def make_scene(
     prev_T_curr: dict[int, Float64Array] = {}
     centers: dict[int, Float64Array] = {}
     camera_prev_T_world, camera_curr_T_world = np.linalg.inv(prev.world_T_camera), np.linalg.inv(curr.world_T_camera)
-    world_motion: Float64Array = np.eye(4) if static_camera else np.asarray(camera_motion, dtype=np.float64)
     for label, (a, b) in enumerate(zip(prev.world_T_object, curr.world_T_object, strict=True), start=1):
         object_motion = camera_prev_T_world @ a @ np.linalg.inv(b) @ curr.world_T_camera
         prev_T_curr[label] = object_motion if label in moved else world_motion

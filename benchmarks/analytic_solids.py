@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -113,12 +114,20 @@ def _quadric(origin: Float64Array, rays: Float64Array, radius: float) -> tuple[F
     return (-b - root) / a, (-b + root) / a
 
 
+@cache
+def _enlargement(count: int, factor: int) -> Float64Array:
+    """(factor * count, count): linear interpolation of a periodic row of cells, as by `ndimage.zoom`, but faster."""
+    return np.asarray(ndimage.zoom(np.eye(count), (factor, 1), order=1, mode="grid-wrap", grid_mode=True))
+
+
 def draw_texture(rng: Rng, cells: Int64Array, *, plane: bool = False) -> Texture:
     """Generate a texture of four octaves of noise, normalised to 0..1, between colours of different brightness."""
     noise = np.zeros(tuple(cells))
     for octave, weight in ((16, 1.0), (8, 0.8), (4, 0.7), (2, 0.5)):
         coarse = rng.standard_normal(tuple(cells // octave))
-        noise += weight * ndimage.zoom(coarse, octave, order=1, mode="grid-wrap", grid_mode=True)
+        for axis, count in enumerate(coarse.shape):
+            coarse = np.moveaxis(np.tensordot(_enlargement(count, octave), coarse, (1, axis)), 0, axis)
+        noise += weight * coarse
     low, high = np.percentile(noise, [5, 95])
     hue = rng.permutation(3)
     dark, bright = rng.uniform(10, 80, 3), rng.uniform(120, 200, 3)

@@ -27,7 +27,12 @@ def find_chromium() -> str | None:
 
 
 class Page:
-    """One tab; `errors` collects errors and warnings of its console and scripts, `requests` the requested URLs."""
+    """One tab.
+
+    Attributes:
+        errors: errors and warnings of its console and scripts, and its dialogs, which are dismissed.
+        requests: the requested URLs.
+    """
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
@@ -39,15 +44,20 @@ class Page:
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command and wait for its result."""
-        self._number += 1
-        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        number = self._send(method, **parameters)
         while True:
             message = json.loads(self._socket.recv(timeout=TIMEOUT))
-            if message.get("id") == self._number:
+            if message.get("id") == number:
                 if "error" in message:
                     raise RuntimeError(f"{method}: {message['error']['message']}")
                 return dict(message["result"])
             self._record(message)
+
+    def _send(self, method: str, **parameters: Any) -> int:
+        """Send a command and return the number that its result will carry."""
+        self._number += 1
+        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        return self._number
 
     def _record(self, message: dict[str, Any]) -> None:
         event, values = message.get("method"), message.get("params", {})
@@ -57,6 +67,10 @@ class Page:
             self.errors.append(json.dumps(values["args"])[:500])
         elif event == "Log.entryAdded" and values["entry"]["level"] in ("error", "warning"):
             self.errors.append(values["entry"]["text"])
+        elif event == "Page.javascriptDialogOpening":
+            self.errors.append(f"{values['type']} dialog: {values['message'][:200]}")
+            # The result is not awaited: a caller may be waiting for that of another command.
+            self._send("Page.handleJavaScriptDialog", accept=False)
         elif event == "Network.requestWillBeSent":
             self.requests.append(values["request"]["url"])
 

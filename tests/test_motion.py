@@ -67,6 +67,21 @@ def test_an_inconsistent_result_is_refused(changes: dict[str, Any], message: str
         make_motion(**changes)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["e", "f", "d", "g"])
+def test_objects_take_every_float_type_and_refuse_what_is_not_finite(kind: str) -> None:
+    # The largest distance exceeds the range of half precision, and the numbers of long double exceed float64.
+    T, center = np.eye(4, dtype=kind), np.array([0.1, 0.2, 60000], kind)
+    obj = ObjectMotion(1, 5, 0.5, True, center, T)
+    np.testing.assert_allclose(obj.translation, 0, atol=1e-12)
+    largest = np.finfo(np.dtype(kind)).max if kind != "e" else np.float16(np.inf)
+    with pytest.raises(ResultError, match="its center is not finite"):
+        ObjectMotion(1, 5, 0.5, True, np.array([0, largest, 0], kind), T)
+    T[1, 3] = largest
+    with pytest.raises(ResultError, match="not a rigid 4x4"):
+        ObjectMotion(1, 5, 0.5, True, center, T)
+
+
 @pytest.mark.parametrize(
     "motion",
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 
 import numpy as np
@@ -41,13 +42,20 @@ def test_two_workers_produce_the_same_bytes(data: Path, tmp_path: Path) -> None:
 
 
 def test_a_killed_and_resumed_run_produces_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The run is killed twice; `python benchmarks/interruptions.py` kills ten times, also with Ray."""
-    settings = interruptions.Settings(pairs=6, rows_a_shard=2, kills=2)
+    """Killed after its first shard; `python benchmarks/interruptions.py` kills at ten moments, also with Ray."""
+    settings = interruptions.Settings(pairs=4, rows_a_shard=2)
     monkeypatch.setattr(generation_jobs, "ROWS_A_SHARD", settings.rows_a_shard)
-    words = ["generate", "--preset", "small", "--samples", "1", "--pairs", "6", "--workers", "1"]
+    words = ["generate", "--preset", "small", "--samples", "1", "--pairs", "4", "--workers", "1"]
     assert main([*words, "--out", str(tmp_path / "one")]) == 0
-    shards, _ = interruptions.killed(settings, tmp_path / "killed", whole=8.0)
-    assert len(shards) == 2
+    process = interruptions.start(settings, tmp_path / "killed", "--workers", "2")
+    deadline = time.monotonic() + 100
+    while not list((tmp_path / "killed").glob("*.parquet")):
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert interruptions.kill(process, after=0.0)
+    assert not (tmp_path / "killed" / "manifest.json").exists()
+    interruptions.finish(settings, tmp_path / "killed", "--workers", "2")
     assert interruptions.content(tmp_path / "killed") == interruptions.content(tmp_path / "one")
 
 

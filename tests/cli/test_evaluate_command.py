@@ -64,7 +64,7 @@ def test_the_packaged_set_from_a_shell(tmp_path: Path) -> None:
         assert {line["row"] for line in csv.DictReader(file)} >= {"zero", "oracle-motion", "PD-Flow", "HOMC"}
     # A second run reuses the predictions and writes the same files.
     before = small_sets.digest(out)
-    assert evaluate(*words).returncode == 0
+    assert main(["evaluate", *words]) == 0
     assert small_sets.digest(out) == before
 
 
@@ -80,7 +80,7 @@ def test_a_killed_run_is_resumed(tmp_path: Path) -> None:
     process.wait()
     made = {path: path.read_bytes() for path in out.rglob("*.npz")}
     assert 3 <= len(made) <= 16
-    assert evaluate(*words).returncode == 0
+    assert main(["evaluate", *words]) == 0
     assert len(list(out.rglob("*.npz"))) == 16
     assert list(out.rglob("*.tmp")) == []
     assert all(path.read_bytes() == data for path, data in made.items())

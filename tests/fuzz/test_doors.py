@@ -35,9 +35,12 @@ def test_the_harness_finds_what_it_looks_for(tmp_path: Path, monkeypatch: pytest
         return FAULTS[next(counter)]
 
     monkeypatch.setitem(ALL_DOORS, "faulty", door)
+    monkeypatch.setattr("fuzz.harness.MAX_MEMORY", 50 << 20)
     found = fuzz("faulty", range(len(FAULTS)), 0, tmp_path)
-    assert [finding.what.split()[0] for finding in found] == ["builtins.KeyError:", "prints", "asks", "the"]
-    assert [finding.number for finding in found] == [1, 2, 3, 4]
+    assert [finding.what.split()[0] for finding in found] == [
+        "builtins.KeyError:", "prints", "takes", "takes", "asks", "the",
+    ]  # fmt: skip
+    assert [finding.number for finding in found] == [1, 2, 3, 4, 5, 6]
 
 
 def _raise(error: Exception) -> None:
@@ -48,6 +51,8 @@ FAULTS: list[Read] = [
     lambda: _raise(ReaderError("ours")),
     lambda: _raise(KeyError("op")),
     lambda: os.write(1, b"chatter"),  # below pytest, which replaces sys.stdout
+    lambda: bytearray(200 << 20),
+    lambda: bytearray(100 << 20),  # less than the peak of the input before
     lambda: _raise(ReaderError("x: not enough memory")),
     lambda: os._exit(9),
 ]

@@ -117,7 +117,9 @@ def test_training_and_resuming(recipe: Recipe, tmp_path: Path, monkeypatch: pyte
     # Batches are prefetched to CUDA devices only.
     monkeypatch.setattr(loop, "on_device", carried)
     data = write_set(tmp_path / "set")
-    recipe = dataclasses.replace(recipe, steps=2, validate_every=2, log_every=1, checkpoint_minutes=0.0)
+    recipe = dataclasses.replace(
+        recipe, steps=2, batch_size=2, validate_every=2, validation_pairs=2, log_every=1, checkpoint_minutes=0.0
+    )
     train(job(data, tmp_path / "here", recipe))
     with fake_device():
         train(job(data, tmp_path / "there", recipe, device=DEVICE))

@@ -137,12 +137,14 @@ def is_rigid(matrix: object) -> bool:
     """Whether a value is a (4, 4) array of a rotation and a translation, up to the rounding of stored numbers."""
     if not isinstance(matrix, np.ndarray) or matrix.shape != (4, 4) or matrix.dtype.kind not in "fiu":
         return False
+    with np.errstate(over="ignore"):  # Numbers beyond float64 become infinite, which is refused.
+        T = matrix.astype(np.float64)  # `MAX_DISTANCE` exceeds the range of float16.
+    R = T[:3, :3]
     # Written so that NaN fails too.
-    if not (np.abs(matrix[:3, :3]).max() < 2 and np.abs(matrix[:3, 3]).max() <= MAX_DISTANCE):
+    if not (np.abs(R).max() < 2 and np.abs(T[:3, 3]).max() <= MAX_DISTANCE):
         return False
-    R = matrix[:3, :3].astype(np.float64)
     is_rotation = np.abs(R @ R.T - np.eye(3)).max() < ROTATION_TOLERANCE and np.linalg.det(R) > 0
-    return bool(is_rotation and np.array_equal(matrix[3], [0, 0, 0, 1]))
+    return bool(is_rotation and np.array_equal(T[3], [0, 0, 0, 1]))
 
 
 def rotation_angle(rotation: ArrayLike) -> Float64Array:

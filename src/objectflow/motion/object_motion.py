@@ -68,7 +68,9 @@ class ObjectMotion:
         center = self.center
         if not isinstance(center, np.ndarray) or center.shape != (3,) or center.dtype.kind != "f":
             raise ResultError(f"object {self.id} has no center of three floating-point numbers")
-        if not np.abs(center).max() <= geometry.MAX_DISTANCE:  # written so that NaN fails too
+        with np.errstate(over="ignore"):  # Numbers beyond float64 become infinite, which is refused.
+            distance = np.abs(center.astype(np.float64)).max()  # The limit exceeds the range of float16.
+        if not distance <= geometry.MAX_DISTANCE:  # written so that NaN fails too
             raise ResultError(f"object {self.id}: its center is not finite, or further than any camera sees")
         if not geometry.is_rigid(self.prev_T_curr):
             raise ResultError(f"object {self.id}: its prev_T_curr is not a rigid 4x4 transform")
