@@ -155,7 +155,7 @@ def _make_scene(
     world_motion: Float64Array = (
         np.eye(4) if camera_motion is None else np.frombuffer(camera_motion, np.float64).reshape(4, 4)
     )
-    curr_T_prev_camera: Float64Array = np.eye(4) if static_camera else np.linalg.inv(world_motion)
+    curr_T_prev_camera: Float64Array = np.asarray(np.linalg.inv(world_motion), dtype=np.float64)
     focal = 236.46 / 320 * width
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
     plane = draw_texture(rng, np.array([512, 512]), plane=True)
