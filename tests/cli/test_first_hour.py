@@ -53,6 +53,15 @@ def test_a_wrong_path_is_refused_before_anything_heavy_is_imported() -> None:
     assert done.stderr == "objectflow: nowhere: no such folder\n"
 
 
+def test_a_method_is_loaded_without_the_compiler_of_torch() -> None:
+    code = (
+        "import sys, objectflow; objectflow.load('rigidmatch'); "
+        "print(sorted({'torch._dynamo', 'torch.onnx', 'sympy', 'rerun', 'pyarrow'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
 @pytest.mark.parametrize("typed", [["615,615,319.5,239.5"], ["615", "615", "319.5", "239.5"]])
 def test_intrinsics_may_be_separated_by_commas(typed: list[str], tmp_path: Path) -> None:
     files = [str(PAIR / name) for name in ("color0.jpg", "depth0.png", "color1.jpg", "depth1.png")]

@@ -178,10 +178,10 @@ def test_errors_for_bad_bags_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(ReaderError, match=message) as caught:
             open_source(path)[0]
         assert "\n" not in str(caught.value)
-    # Depth of half the size in the frame of colour is brought to colour's pixels.
+    # Depth of half the size in the frame of colour is resampled to colour's pixels.
     half = open_source(build("small", size=24))
     np.testing.assert_allclose(half[0].depth[6:, 8:], frame.depth[6:, 8:], atol=5e-4)
-    assert "brought to colour's 64x48" in half.notes[0]
+    assert "resampled to colour's 64x48" in half.notes[0]
     camera = CameraOptions(intrinsics=(60.0, 61.0, 31.0, 24.0))
     assert open_source(tmp_path / "blind.bag", camera).camera == CAMERA
     (tmp_path / "text.bag").write_text("not a bag at all")

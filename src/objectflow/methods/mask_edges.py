@@ -1,4 +1,4 @@
-"""Labels of a downscaled image brought to the full one, with borders that follow its depth and colour."""
+"""Labels of a downscaled image, upsampled to the full image with borders that follow its depth and colour."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ class Layout:
         depth_scale: units per metre of integer depth.
         camera: the camera of the images; None where a camera file is required.
         depth_camera: the camera of depth where colour has another one with the same centre and orientation; colour is
-            brought to its pixels.
+            resampled to its pixels.
         ray_length: whether depth is the distance along each ray.
         notes: what the reader says of the layout.
     """
@@ -138,7 +138,7 @@ def _resized_note(color_size: tuple[int, int], depth_size: tuple[int, int], imag
             f"{image}: colour is {width}x{height}, depth {w}x{h}: register the depth to the colour image"
         )
     return (
-        f"depth is {w}x{h}, colour {width}x{height}: depth is brought to the pixels of colour; both "
+        f"depth is {w}x{h}, colour {width}x{height}: depth is resampled to the pixels of colour; both "
         "are taken to have the same field of view"
     )
 

@@ -104,7 +104,7 @@ def plan_geometry(
         )
     if own.camera is None:
         if is_same and _same_aspect(color.size, depth.size, settings):
-            note = f"depth of {_size(depth)} is brought to colour's {_size(color)} by the nearest pixel"
+            note = f"depth of {_size(depth)} is resampled to colour's {_size(color)} by the nearest pixel"
             return _on_color_pixels(found, color, depth, (DepthAtColor(depth.size),), (note,))
         raise ReaderError(
             f"{path}: depth on {depth.name} is {_size(depth)}, colour {_size(color)}, and depth has no CameraInfo "

@@ -1,6 +1,6 @@
 """An exported scan of ScanNet: `color/`, `depth/` and the intrinsics of both cameras, in millimetres.
 
-Colour has another resolution than depth and is brought to the pixels of depth. The two cameras have the same centre
+Colour has another resolution than depth and is resampled to the pixels of depth. The two cameras have the same centre
 and orientation: the published extrinsics between them are the identity.
 """
 
@@ -44,7 +44,7 @@ def open_scannet(folder: Path, options: CameraOptions | None = None) -> FrameSeq
     layout = Layout(
         camera=color_camera,
         depth_camera=read_camera_file(depth),
-        notes=("ScanNet: colour is brought to the pixels of the depth camera",),
+        notes=("ScanNet: colour is resampled to the pixels of the depth camera",),
     )
     return open_images(folder, images, options, layout)
 

@@ -1,4 +1,4 @@
-"""Time stamps as drivers write them, brought to ascending seconds: units, repeats, missing stamps and clock changes.
+"""Time stamps as drivers write them, converted to ascending seconds: units, repeats, missing stamps and clock changes.
 
 A recording's stamps may be in seconds, milliseconds, microseconds or nanoseconds; a driver may repeat a frame, leave a
 stamp at 0 or deliver a frame late; and a clock may be set back, or a recording may restart. `normalise` returns the

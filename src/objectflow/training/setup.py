@@ -15,6 +15,7 @@ from objectflow.errors import MethodError
 from objectflow.networks import SceneFlowNet
 from objectflow.networks.kinds import Network
 from objectflow.networks.rigidmatch import RigidMatch
+from objectflow.networks.sceneflownet.correlation import exclude_from_compilation
 from objectflow.networks.weights import load_network
 from objectflow.training.adapters import NetworkAdapter, RigidMatchAdapter, SceneFlowNetAdapter
 from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
@@ -107,6 +108,7 @@ def compiled(
     before = copy.deepcopy(module.state_dict())
     out: Any = module
     try:
+        exclude_from_compilation()
         candidate = torch.compile(module)
         with precision(recipe, device):
             output = candidate(*images)

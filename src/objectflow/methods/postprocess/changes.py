@@ -1,4 +1,4 @@
-"""What a step of the pipeline changed: objects added, dropped, merged, brought to rest, and motions replaced."""
+"""What a step of the pipeline changed: objects added, dropped, merged, set to rest, and motions replaced."""
 
 from __future__ import annotations
 

@@ -218,6 +218,8 @@ def _halves(both: Grid) -> tuple[Grid, Grid]:
 
 def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
     """He et al. 2015 for filters before rectification, Glorot and Bengio 2010 for matrices; blocks as shortcuts."""
+    if next(network.parameters()).is_meta:
+        return  # there are no values, and drawing them on this device imports torch's compiler, which takes a second
     with torch.no_grad():
         for module in network.modules():
             if isinstance(module, nn.Conv2d):

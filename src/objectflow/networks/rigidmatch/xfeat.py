@@ -59,7 +59,7 @@ class XFeat(nn.Module):
             self.add_module(name, nn.Sequential(*(FrozenConv(*layer) for layer in layers)))
         self.head = FrozenConv(64, CHANNELS, 1)
         for tensor in self.state_dict().values():
-            if tensor.ndim > 1:
+            if tensor.ndim > 1 and not tensor.is_meta:
                 tensor.normal_(0, math.sqrt(2 / tensor[0].numel()), generator=generator)
 
     @torch.no_grad()

@@ -60,7 +60,15 @@ def weighted_max_pool(weights: Tensor, values: Tensor, reach: int) -> Tensor:
     return _pool(weights, values, reach, None)
 
 
-@torch.compiler.disable  # type: ignore[untyped-decorator]  # compiling thousands of small steps takes minutes, without a gain
+def exclude_from_compilation() -> None:
+    """Keep the pool out of the graphs of `torch.compile`; compiling its thousands of small steps takes minutes.
+
+    As a decorator, `torch.compiler.disable` would import the compiler, which takes over a second, for everyone.
+    """
+    global _pool_with_gradient  # noqa: PLW0603
+    _pool_with_gradient = torch.compiler.disable(_pool_with_gradient)  # type: ignore[no-untyped-call]
+
+
 def _pool_with_gradient(weights: Tensor, values: Tensor, reach: int) -> Tensor:
     out: Tensor = _WeightedMaxPool.apply(weights, values, reach)  # type: ignore[no-untyped-call]
     return out

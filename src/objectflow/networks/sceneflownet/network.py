@@ -196,6 +196,8 @@ def fill_holes(points: Tensor, valid: Tensor) -> Tensor:
 
 def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
     """He et al. 2015 for layers with ReLU; heads near 0, so that training starts from zero motion."""
+    if next(network.parameters()).is_meta:
+        return  # there are no values, and drawing them on this device imports torch's compiler, which takes a second
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.ConvTranspose2d):
             fan_in = module.weight[0].numel() if isinstance(module, nn.Conv2d) else module.weight[:, 0].numel() // 4
