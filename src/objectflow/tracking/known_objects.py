@@ -9,6 +9,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_settings import KnownSettings
@@ -48,7 +49,12 @@ class KnownObjects:
         self.objects: dict[int, KnownObject] = {}
 
     def update(
-        self, frame: PreparedFrame, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker
+        self,
+        frame: PreparedFrame,
+        motion: SceneMotion,
+        tracks: dict[int, int],
+        tracker: Tracker,
+        noise: DepthNoise = STRUCTURED_LIGHT,
     ) -> LabelImage:
         """Compare the models with the current frame, and extend those of the objects that moved.
 
@@ -60,6 +66,7 @@ class KnownObjects:
             motion: the estimate for the pair that ends with it.
             tracks: the track id of each object of the estimate, as `Tracker.update` returned them.
             tracker: after this update.
+            noise: of the frame's depth.
 
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
@@ -67,7 +74,7 @@ class KnownObjects:
         if not tracker.world_T_camera:  # the camera is lost
             self.objects = {}
             return np.zeros(frame.frame.depth.shape, np.int32)
-        view = FrameView(frame, self.settings)
+        view = FrameView(frame, self.settings, noise)
         curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))

@@ -10,7 +10,7 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSource, RegistrationTarget, refine
-from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.typing import BoolMask, Float32Array, Float64Array
@@ -47,24 +47,25 @@ class FrameView:
 
     Attributes:
         frame: the prepared frame.
+        noise: of its depth.
         chroma: (H, W, 2) float32, the colour-opponent channels of CIELAB, slightly blurred.
     """
 
-    def __init__(self, frame: PreparedFrame, settings: KnownSettings) -> None:
-        self.frame, self.settings = frame.at_width(settings.width), settings
-        self.chroma = chroma(cv2.GaussianBlur(self.frame.frame.color, (0, 0), 1.0))
+    def __init__(self, frame: PreparedFrame, settings: KnownSettings, noise: DepthNoise = STRUCTURED_LIGHT) -> None:
+        self.frame, self.settings, self.noise = frame.at_width(settings.width), settings, noise
+        self.chroma = chroma(cv2.GaussianBlur(self.frame.frame.color, (0, 0), settings.color_blur))
         self._target: RegistrationTarget | None = None
 
     @property
     def target(self) -> RegistrationTarget:
         """The frame as the target of registration."""
         if self._target is None:
-            self._target = RegistrationTarget(self.frame)
+            self._target = RegistrationTarget(self.frame, self.noise)
         return self._target
 
     def tolerance(self, z: Float32Array | Float64Array) -> Float64Array:
         """Metres: largest difference of depth between a model and the frame at depths z."""
-        return self.settings.depth_sigmas * STRUCTURED_LIGHT.sigma(z).astype(np.float64) + self.settings.depth_margin
+        return self.settings.depth_sigmas * self.noise.sigma(z).astype(np.float64) + self.settings.depth_margin
 
     def fit(self, model: SurfaceModel, camera_T_object: Float64Array) -> ModelFit:
         """Compare a model with the frame.
@@ -145,7 +146,10 @@ class FrameView:
         alike = np.abs(color - self.chroma[rows, columns]).max(axis=-1, initial=0) <= self.settings.max_chroma
         agrees[rows, columns] = near & alike
         return np.asarray(
-            _closed(agrees, 2) & inside & (measured > 0) & (agrees | _near(depth, measured, self.settings.gap_depth))
+            _closed(agrees, self.settings.gap_radius)
+            & inside
+            & (measured > 0)
+            & (agrees | _near(depth, measured, self.settings.gap_depth))
         ), depth
 
 

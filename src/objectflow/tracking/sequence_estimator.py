@@ -13,6 +13,7 @@ from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.running_noise import RunningNoise
 from objectflow.tracking.tracker import Track, Tracker
 from objectflow.typing import LabelImage
 
@@ -47,6 +48,7 @@ class SequenceEstimator:
     Attributes:
         tracker: the trajectories of the objects and of the camera.
         known_objects: the models of the objects.
+        noise: the running estimate of the camera's depth noise, with which models are compared with frames.
         segmentation: the label image `known` of the latest step; None before the first.
     """
 
@@ -63,6 +65,7 @@ class SequenceEstimator:
         self.estimator = estimator
         self.tracker = tracker or Tracker()
         self.known_objects = KnownObjects(settings)
+        self.noise = RunningNoise(self.known_objects.settings.noise_pairs, self.known_objects.settings.noise)
         self.segmentation: LabelImage | None = None
         self._last: PreparedFrame | None = None
         self._time = 0.0
@@ -102,12 +105,15 @@ class SequenceEstimator:
         pair = FramePair(prev, frame)
         found = estimate_pair(self.estimator, pair) if motion is None else motion
         tracks = self.tracker.update(prev_time, frame, time, found)
-        known = self.known_objects.update(pair.curr, found, tracks, self.tracker)
+        known = self.known_objects.update(pair.curr, found, tracks, self.tracker, self.noise.add(pair, found))
         self._last, self._time, self.segmentation = pair.curr, time, known
         return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known)
 
     def cut(self) -> None:
-        """Start a new world, as after a cut: the next frame is a first one, and objects get new ids."""
+        """Start a new world, as after a cut: the next frame is a first one, and objects get new ids.
+
+        The noise of the camera is kept.
+        """
         self.tracker.reset()
         self.known_objects.objects = {}
         self._last = self.segmentation = None
@@ -118,6 +124,7 @@ class SequenceEstimator:
         return {
             "tracker": self.tracker,
             "known_objects": self.known_objects,
+            "noise": self.noise,
             "last": last,
             "time": self._time,
             "segmentation": self.segmentation,
@@ -126,5 +133,6 @@ class SequenceEstimator:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a `state`; the estimator must be the same."""
         self.tracker, self.known_objects = state["tracker"], state["known_objects"]
+        self.noise = state["noise"]
         self._last = None if state["last"] is None else PreparedFrame(state["last"])
         self._time, self.segmentation = state["time"], state["segmentation"]
