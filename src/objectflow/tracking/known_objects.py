@@ -149,9 +149,11 @@ class KnownObjects:
     def _registered(
         self, model: SurfaceModel, world_T_object: Float64Array, view: FrameView, curr_T_world: Float64Array
     ) -> Float64Array:
-        """The pose registered to the model, or the given one where registration moves far or fits clearly worse."""
+        """The pose registered to the model, or the given one where registration is not clearly better or moves far."""
         start = curr_T_world @ world_T_object
-        pose = view.register(model, start)
+        pose, better = view.register(model, start)
+        if not better:
+            return world_T_object
         change = geometry.inverse(start) @ pose
         angle = math.degrees(float(geometry.rotation_angle(change[:3, :3])))
         center = model.points.mean(axis=0)

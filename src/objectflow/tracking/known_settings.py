@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from objectflow.alignment.measured_noise import MeasuredNoiseSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.settings import Settings, setting
+from objectflow.tracking.pose_cost import PoseCostSettings
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class KnownSettings(Settings):
     """Registration of a model to the frame; the pose is known to a few centimetres."""
     registration_points: int = setting(1500, minimum=10)
     """Maximum number of model points that registration uses."""
+    pose_cost: PoseCostSettings = PoseCostSettings()
+    """When a registered pose replaces a chained one."""
     max_correction: float = setting(0.02, minimum=0)
     """Metres: largest displacement by which registration to the model corrects a chained pose."""
-    max_correction_deg: float = setting(12.0, minimum=0)
+    max_correction_deg: float = setting(16.0, minimum=0)
     """Degrees: largest rotation by which registration to the model corrects a chained pose."""

@@ -12,6 +12,7 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSource, RegistrationTarget, refine
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.pose_cost import is_better, pose_costs
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.typing import BoolMask, Float32Array, Float64Array
 
@@ -110,19 +111,25 @@ class FrameView:
             spread(known & ((offset < -tolerance) | (agrees & ~alike))),
         )
 
-    def register(self, model: SurfaceModel, camera_T_object: Float64Array) -> Float64Array:
+    def register(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[Float64Array, bool]:
         """The pose refined by point-to-plane registration of the model to the frame, with colour.
 
         Args:
             model: of the object.
             camera_T_object: (4, 4) initial pose, a few centimetres and degrees off at most.
+
+        Returns:
+            The registered pose, and whether it explains the frame better than the initial one; see `pose_costs`.
         """
+        settings = self.settings
         facing = np.flatnonzero(model.facing(camera_T_object))
-        if len(facing) > self.settings.registration_points:
-            facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
+        if len(facing) > settings.registration_points:
+            facing = facing[np.linspace(0, len(facing) - 1, settings.registration_points).astype(int)]
         grays = model.grays()[facing]
         source = RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
-        return refine(self.target, source, camera_T_object, settings=self.settings.registration).prev_T_curr
+        pose = refine(self.target, source, camera_T_object, settings=settings.registration).prev_T_curr
+        costs = pose_costs(self.target, source, (camera_T_object, pose), settings.registration, settings.pose_cost)
+        return pose, is_better(costs, settings.pose_cost)
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.
