@@ -128,16 +128,14 @@ class Tracker:
             )
         if motion.labels.shape != curr.depth.shape:
             raise FrameError(f"labels {motion.labels.shape} do not fit the frame {curr.depth.shape}")
-        if not motion.camera_known:
-            # Poses cannot be continued in a world whose camera is lost.
+        world_T_prev = self.world_T_camera[-1] if self.world_T_camera else np.eye(4)
+        world_T_curr = next_camera_pose(world_T_prev, motion)
+        if world_T_curr is None:
             self.reset()
             return {}
         if not self.camera_times:
             self.camera_times.append(prev_time)
-            self.world_T_camera.append(np.eye(4))
-        world_T_prev = self.world_T_camera[-1]
-        camera_step = np.eye(4) if motion.camera_motion is None else motion.camera_motion
-        world_T_curr = world_T_prev @ camera_step
+            self.world_T_camera.append(world_T_prev)
         self.camera_times.append(time)
         self.world_T_camera.append(world_T_curr)
 
@@ -246,6 +244,21 @@ class Tracker:
         del self.camera_times[:-keep], self.world_T_camera[:-keep]
         for track in self._tracks.values():
             del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
+
+
+def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64Array | None:
+    """The camera's pose in the current frame of a pair.
+
+    Args:
+        world_T_prev: (4, 4) pose in the previous frame.
+        motion: the estimate for the pair.
+
+    Returns:
+        (4, 4), or None where the camera is lost: poses cannot be continued, and the next frame starts a new world.
+    """
+    if not motion.camera_known:
+        return None
+    return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion
 
 
 def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:
