@@ -191,3 +191,37 @@ def test_times_must_rise() -> None:
     scene, sequence, _ = play(PUSH)
     with pytest.raises(FrameError, match="in order of time"):
         sequence.update(scene.frame(4, PUSH[4]))
+
+
+def other_scene(number: int) -> RgbdFrame:
+    """A slope of another colour at 0.6 to 1.2 m."""
+    depth = np.tile(np.linspace(0.6, 1.2, 160, dtype=np.float32), (120, 1))
+    return RgbdFrame(np.full((120, 160, 3), (40, 160, 60), np.uint8), depth, CAMERA, timestamp=float(number))
+
+
+def test_a_cut_to_another_scene_starts_a_new_world_and_is_noted() -> None:
+    """The method reports a moving object at the cut, as one for a static camera does."""
+    scene = Scene()
+    frames = [*(scene.frame(number, here) for number, here in enumerate(PUSH)), other_scene(5), other_scene(6)]
+    scene.labels[5], scene.places[5] = scene.labels[4], {**PUSH[4], 1: (0.0, 0.0, 1.0)}
+    still = SceneMotion(np.zeros((120, 160), np.int32), np.zeros((120, 160, 3), np.float32))
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(int(curr.timestamp)) if curr.timestamp < 6 else still)
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    assert [step.motion.camera_known for step in steps] == [True] * 4 + [False, True]
+    assert "cut" in steps[4].motion.notes[0]
+    assert steps[4].tracks == {}
+    assert not steps[4].known.any()
+    assert not sequence.known_objects.objects
+    assert sequence.tracker.camera_times == [5, 6]
+
+
+def test_neither_a_change_of_light_nor_a_hand_before_the_lens_is_a_cut() -> None:
+    scene = Scene()
+    frames = [scene.frame(number, here) for number, here in enumerate(PUSH)]
+    darker = [RgbdFrame(f.color // 2 if k > 2 else f.color, f.depth, CAMERA, float(k)) for k, f in enumerate(frames)]
+    hand = frames[4].depth.copy()
+    hand[:, :110] = 0.3
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(min(4, int(curr.timestamp))))
+    for frame in (*darker, RgbdFrame(darker[4].color, hand, CAMERA, 5.0)):
+        step = sequence.update(frame)
+        assert step is None or step.motion.camera_known
