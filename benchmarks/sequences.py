@@ -37,7 +37,7 @@ from objectflow.tracking.reconstruction import (
     missing_reason,
 )
 from objectflow.tracking.sequence_estimator import SequenceEstimator
-from objectflow.tracking.tracker import Track
+from objectflow.tracking.track import Track
 from objectflow.tracking.volume_meshing import TriangleMesh, mesh_area
 from objectflow.typing import Float64Array
 from tracking import FRAME_RATE, MIN_PIXELS, ORACLE, FollowedSteps, true_motion

@@ -15,7 +15,8 @@ from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
 from objectflow.storage.locked_folder import SETTINGS, FolderKind
 from objectflow.tracking.reconstruction import SequenceView
-from objectflow.tracking.tracker import Track, next_camera_pose
+from objectflow.tracking.track import Track
+from objectflow.tracking.tracker import next_camera_pose
 from objectflow.tracking.trajectory_files import TRACKS
 
 RUN_FOLDER = FolderKind(

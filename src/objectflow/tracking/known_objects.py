@@ -92,6 +92,7 @@ class KnownObjects:
             if number not in self.objects:
                 continue
             known = self.objects[number]
+            track.model = known.model
             pose = curr_T_world @ known.world_T_object
             fit = view.fit(known.model, pose)
             known.present = fit.present if fit.visible >= self.settings.min_visible else 0.0

@@ -28,7 +28,7 @@ from objectflow.settings import Settings, setting
 from objectflow.tracking.background import BackgroundCloud
 from objectflow.tracking.object_volume import ObjectVolume, VolumeSettings
 from objectflow.tracking.pose_cost import PoseCostSettings, is_better, pose_costs
-from objectflow.tracking.tracker import Track
+from objectflow.tracking.track import Track
 from objectflow.typing import BoolMask, Float64Array, LabelImage, UInt8Array
 
 

@@ -16,7 +16,8 @@ from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.running_noise import RunningNoise
 from objectflow.tracking.scene_cut import CutSettings, is_cut
-from objectflow.tracking.tracker import Track, Tracker
+from objectflow.tracking.track import Track
+from objectflow.tracking.tracker import Tracker
 from objectflow.typing import LabelImage
 
 CUT = "cut: the frames show different scenes, so no object is reported, and objects get new ids"

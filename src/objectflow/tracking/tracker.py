@@ -6,7 +6,7 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +19,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
+from objectflow.tracking.track import Track
 from objectflow.typing import BoolMask, Float64Array
 
 _BINS = (4, 16, 16)
@@ -48,27 +49,6 @@ class TrackerSettings(Settings):
     """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
     max_points: int = setting(600, minimum=1)
     """Maximum number of surface points stored per track."""
-
-
-@dataclass(eq=False)
-class Track:
-    """The trajectory of one object. The world frame is the camera of the first frame.
-
-    Attributes:
-        id: from 1, never reused.
-        times: of each pose, in seconds, or frame numbers where there are no times.
-        world_T_object: (4, 4) at each time. The object frame starts at the object's centre, aligned with the world.
-        labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame.
-        scores: of each pose.
-        gaps: times at which the object was seen to move, but with a score too low for a pose.
-    """
-
-    id: int
-    times: list[float] = field(default_factory=list)
-    world_T_object: list[Float64Array] = field(default_factory=list)
-    labels: list[int] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)
 
 
 class _Surface(NamedTuple):
@@ -138,6 +118,8 @@ class Tracker:
             self.world_T_camera.append(world_T_prev)
         self.camera_times.append(time)
         self.world_T_camera.append(world_T_curr)
+        for track_id in self._states:
+            self._tracks[track_id].world_T_camera = world_T_curr
 
         objects = [o for o in motion.objects if o.moving]
         surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
@@ -156,6 +138,7 @@ class Tracker:
             track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
+            track.world_T_camera = world_T_curr
             points = geometry.transform(world_T_curr, surface.points)
             self._states[track.id] = _LastState(points, surface.colors, world_step)
             found[obj.id] = track.id
@@ -244,6 +227,7 @@ class Tracker:
         del self.camera_times[:-keep], self.world_T_camera[:-keep]
         for track in self._tracks.values():
             del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
+            track.gaps = [time for time in track.gaps if time >= track.times[0]]
 
 
 def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64Array | None:
