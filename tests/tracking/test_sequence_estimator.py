@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -191,6 +192,29 @@ def test_times_must_rise() -> None:
     scene, sequence, _ = play(PUSH)
     with pytest.raises(FrameError, match="in order of time"):
         sequence.update(scene.frame(4, PUSH[4]))
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_step_of_low_score_is_followed_where_the_model_confirms_it(moves: bool) -> None:
+    """In the last pair the method reports the plate's usual motion with a low score; the plate moves, or rests."""
+    scene = Scene()
+    frames = [scene.frame(number, here) for number, here in enumerate([*PUSH[:4], PUSH[4 if moves else 3]])]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = int(curr.timestamp or 0)
+        if number < 4:
+            return scene.motion(number)
+        usual = replace(scene.motion(3).objects[0], score=0.1)
+        return SceneMotion(np.where(scene.labels[4] == 1, 1, 0).astype(np.int32), scene.motion(3).scene_flow, (usual,))
+
+    sequence = SequenceEstimator(estimate)
+    for frame in frames:
+        sequence.update(frame)
+    (track,) = sequence.tracks
+    assert track.gaps == ([] if moves else [4])
+    moved = track.world_T_object[-1][0, 3] - track.world_T_object[0][0, 3]
+    assert moved == pytest.approx(0.12 if moves else 0.09, abs=0.004)
+    assert track.confidence == pytest.approx((3 * 0.9 + (0.1 if moves else 0)) / 4)
 
 
 def other_scene(number: int) -> RgbdFrame:

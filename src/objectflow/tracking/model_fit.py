@@ -121,15 +121,18 @@ class FrameView:
         Returns:
             The registered pose, and whether it explains the frame better than the initial one; see `pose_costs`.
         """
-        settings = self.settings
-        facing = np.flatnonzero(model.facing(camera_T_object))
-        if len(facing) > settings.registration_points:
-            facing = facing[np.linspace(0, len(facing) - 1, settings.registration_points).astype(int)]
-        grays = model.grays()[facing]
-        source = RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
+        settings, source = self.settings, self._source(model, camera_T_object)
         pose = refine(self.target, source, camera_T_object, settings=settings.registration).prev_T_curr
         costs = pose_costs(self.target, source, (camera_T_object, pose), settings.registration, settings.pose_cost)
         return pose, is_better(costs, settings.pose_cost)
+
+    def is_better(self, model: SurfaceModel, given: Float64Array, other: Float64Array) -> bool:
+        """Whether a pose (4, 4) `camera_T_object` explains the frame better than a given one; see `pose_costs`."""
+        settings = self.settings
+        costs = pose_costs(
+            self.target, self._source(model, given), (given, other), settings.registration, settings.pose_cost
+        )
+        return is_better(costs, settings.pose_cost)
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.
@@ -158,6 +161,14 @@ class FrameView:
             & (measured > 0)
             & (agrees | _near(depth, measured, self.settings.gap_depth))
         ), depth
+
+    def _source(self, model: SurfaceModel, camera_T_object: Float64Array) -> RegistrationSource:
+        """The points of the model that face the camera, sampled evenly."""
+        facing = np.flatnonzero(model.facing(camera_T_object))
+        if len(facing) > self.settings.registration_points:
+            facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
+        grays = model.grays()[facing]
+        return RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
 
 
 def chroma(color: Float64Array | np.ndarray) -> Float32Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from objectflow.alignment.frame_pair import FramePair
@@ -121,8 +122,9 @@ class SequenceEstimator:
         if is_cut(pair, found, self.cuts):
             unknown = unknown_motion(found.labels.shape)
             found = replace(unknown, method=found.method, seconds=found.seconds, settings=found.settings, notes=(CUT,))
-        tracks = self.tracker.update(prev_time, frame, time, found)
-        known = self.known_objects.update(pair.curr, found, tracks, self.tracker, self.noise.add(pair, found))
+        view = self.known_objects.view(pair.curr, self.noise.add(pair, found))
+        tracks = self.tracker.update(prev_time, frame, time, found, partial(self.known_objects.confirms, view))
+        known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape)
         self._last, self._time, self.segmentation = pair.curr, time, known
         return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known)
 

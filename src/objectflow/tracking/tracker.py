@@ -6,6 +6,7 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -87,7 +88,14 @@ class Tracker:
         """All tracks that are kept, in order of id."""
         return list(self._tracks.values())
 
-    def update(self, prev_time: float, curr: RgbdFrame, time: float, motion: SceneMotion) -> dict[int, int]:
+    def update(
+        self,
+        prev_time: float,
+        curr: RgbdFrame,
+        time: float,
+        motion: SceneMotion,
+        confirms: Callable[[int, Float64Array, Float64Array], bool] | None = None,
+    ) -> dict[int, int]:
         """Add the next pair, whose previous frame must be the current frame of the last call.
 
         Args:
@@ -95,6 +103,8 @@ class Tracker:
             curr: the pair's current frame.
             time: of the current frame, later than `prev_time`.
             motion: the estimate for the pair.
+            confirms: whether the current frame confirms a step of low score, by the id of the track and its poses
+                `camera_T_object` (4, 4) before and after the step, both in the current camera; such a step is no gap.
 
         Returns:
             Track id of each object of `motion` that has a track, by the object's id.
@@ -127,12 +137,17 @@ class Tracker:
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
-            if obj.score < self.settings.min_score:
-                if number is not None:
-                    self._tracks[number].gaps.append(time)
-                continue
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
+            if obj.score < self.settings.min_score:
+                if number is None:
+                    continue
+                before = geometry.inverse(world_T_curr) @ self._tracks[number].world_T_object[-1]
+                after = geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
+                after = after @ self._tracks[number].world_T_object[-1]
+                if confirms is None or not confirms(number, before, after):
+                    self._tracks[number].gaps.append(time)
+                    continue
             track = self._track(number, obj, prev_time, world_T_prev)
             track.times.append(time)
             track.world_T_object.append(world_step @ track.world_T_object[-1])
