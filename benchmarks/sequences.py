@@ -19,8 +19,7 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from objectflow import geometry
-from objectflow.dataset.pairing import pair_of_frames
-from objectflow.dataset.schema import SequenceRow
+from objectflow.dataset.schema import FrameObject, SequenceRow
 from objectflow.dataset.shards import open_sequences
 from objectflow.evaluation.methods import parse_methods
 from objectflow.frame import RgbdFrame
@@ -37,16 +36,20 @@ from objectflow.tracking.reconstruction import (
     fuse_objects,
     missing_reason,
 )
-from objectflow.tracking.tracker import Track, Tracker
+from objectflow.tracking.sequence_estimator import SequenceEstimator
+from objectflow.tracking.track import Track
 from objectflow.tracking.volume_meshing import TriangleMesh, mesh_area
 from objectflow.typing import Float64Array
-from tracking import ORACLE, best_match, moved, true_motion
+from tracking import FRAME_RATE, MIN_PIXELS, ORACLE, FollowedSteps, true_motion
 
-FRAME_RATE = 60.0
 NEAR = 0.003
 """Metres: a true point this close to a vertex is covered."""
 AGES = (1, 2, 5, 10, 20)
 """Numbers of frames since an object was followed first, up to which pose errors are printed."""
+REST_SHIFT = 0.0005
+"""Metres between two frames, below which an object is at rest."""
+REST_TURN = 0.2
+"""Degrees between two frames, below which an object is at rest."""
 
 
 @dataclasses.dataclass
@@ -68,22 +71,47 @@ class Settings:
 
 
 @dataclasses.dataclass
-class Score:
-    """Sums over sequences.
+class PoseErrors:
+    """Errors of poses by the number of frames since an object was followed first.
 
     Attributes:
-        visible, tracked, switches: as in `benchmarks/tracking.py`.
-        shifts, turns: millimetres and degrees of the registered poses' errors, by frames since the first fused view.
+        shifts, turns: millimetres and degrees.
+    """
+
+    shifts: dict[int, list[float]] = dataclasses.field(default_factory=dict)
+    turns: dict[int, list[float]] = dataclasses.field(default_factory=dict)
+
+    def add(self, age: int, found: Float64Array, true: Float64Array, center: Float64Array) -> None:
+        """Add a pose.
+
+        Args:
+            age: frames since the first one.
+            found, true: (4, 4) poses in the camera frame.
+            center: (3,) metres in the object's true frame: the point at which the shift is measured.
+        """
+        group = next((limit for limit in AGES if age <= limit), AGES[-1] + 1)
+        shift = geometry.transform(found, center) - geometry.transform(true, center)
+        self.shifts.setdefault(group, []).append(1000 * float(np.linalg.norm(shift)))
+        turn = geometry.rotation_angle(found[:3, :3].T @ true[:3, :3])
+        self.turns.setdefault(group, []).append(float(np.degrees(turn)))
+
+
+@dataclasses.dataclass
+class Score(FollowedSteps):
+    """Sums over sequences; see `FollowedSteps`.
+
+    Attributes:
+        tracks: errors of the tracks' poses in every frame since the object was followed first, also at rest.
+        models: errors of the poses that reconstruction registered, since the first fused view.
+        rest: IoU of the known mask of each object at rest that was followed before.
         vertices: millimetres from each vertex of each model to the true surface.
         covered: share of each modelled object's seen surface within `NEAR` of its mesh.
         moved, modelled: number of objects that moved, and of those with a model.
     """
 
-    visible: int = 0
-    tracked: int = 0
-    switches: int = 0
-    shifts: dict[int, list[float]] = dataclasses.field(default_factory=dict)
-    turns: dict[int, list[float]] = dataclasses.field(default_factory=dict)
+    tracks: PoseErrors = dataclasses.field(default_factory=PoseErrors)
+    models: PoseErrors = dataclasses.field(default_factory=PoseErrors)
+    rest: list[float] = dataclasses.field(default_factory=list)
     vertices: list[Float64Array] = dataclasses.field(default_factory=list)
     covered: list[float] = dataclasses.field(default_factory=list)
     moved: int = 0
@@ -136,30 +164,49 @@ def add_sequence(
     folder: Path | None,
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
-    tracker = Tracker()
+    given = iter(results)
+    sequence = SequenceEstimator(lambda prev, curr: next(given))
     last: dict[int, int] = {}
+    starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}
     movers: set[int] = set()
     views: list[SequenceView] = []
-    pairs = zip(itertools.pairwise(frames), images[1:], results, strict=True)
-    for number, ((prev, curr), image, motion) in enumerate(pairs, start=1):
-        links = tracker.update(prev.frame / FRAME_RATE, image, curr.frame / FRAME_RATE, motion)
-        views.append(SequenceView(number, 0, curr.frame / FRAME_RATE, image, motion.labels, np.eye(4)))
-        for obj in pair_of_frames(prev, curr).objects:
-            mask = curr.labels == obj.label
-            if not moved(obj.translation) or mask.sum() < 100:
-                continue
+    sequence.update(images[0], frames[0].frame / FRAME_RATE)
+    for number, ((prev, curr), image) in enumerate(zip(itertools.pairwise(frames), images[1:], strict=True), start=1):
+        step = sequence.update(image, curr.frame / FRAME_RATE)
+        assert step is not None
+        views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, np.eye(4)))
+        tracks = {track.id: track for track in sequence.tracks}
+        for obj, track_id in score.add_pair(prev, curr, step.motion, step.tracks, last):
             movers.add(obj.label)
-            score.visible += 1
-            track_id = best_match(mask, motion.labels, links)
+            if track_id is not None:
+                owners.setdefault(track_id, Counter())[obj.label] += 1
+                if (obj.label, track_id) not in starts:
+                    # The track's frame is that of the object up to a rigid transform, which the first step fixes.
+                    start = geometry.inverse(tracks[track_id].world_T_object[-2]) @ obj.prev_pose
+                    starts[obj.label, track_id] = number, start
+        before = {obj.label: obj for obj in prev.objects}
+        for true in curr.objects:
+            track_id = last.get(true.label)
             if track_id is None:
                 continue
-            score.tracked += 1
-            score.switches += obj.label in last and last[obj.label] != track_id
-            last[obj.label] = track_id
-            owners.setdefault(track_id, Counter())[obj.label] += 1
+            mask = curr.labels == true.label
+            first, track_T_object = starts[true.label, track_id]
+            score.tracks.add(
+                number - first, tracks[track_id].world_T_object[-1] @ track_T_object, true.pose, np.zeros(3)
+            )
+            if rests(before[true.label], true) and mask.sum() >= MIN_PIXELS:
+                known = step.known == track_id
+                score.rest.append(float((known & mask).sum() / (known | mask).sum()))
     score.moved += len(movers)
-    add_models(score, frames, views, tracker.tracks, owners, folder)
+    add_models(score, frames, views, sequence.tracks, owners, folder)
+
+
+def rests(prev: FrameObject, curr: FrameObject) -> bool:
+    """Whether an object is at rest between two frames."""
+    shift = np.linalg.norm(curr.pose[:3, 3] - prev.pose[:3, 3])
+    turn = np.degrees(geometry.rotation_angle(prev.pose[:3, :3].T @ curr.pose[:3, :3]))
+    return bool(shift < REST_SHIFT and turn < REST_TURN)
 
 
 def add_models(
@@ -203,13 +250,9 @@ def add_model(score: Score, frames: Sequence[SequenceRow], model: ObjectModel, m
     score.vertices.append(1000 * np.where(distance < 0.006, along, distance))
     score.covered.append(float(np.mean(np.asarray(cKDTree(vertices).query(points)[0]) < NEAR)))
     center = points.mean(axis=0)
+    model_T_true = geometry.inverse(true_T_model)
     for number, true_pose, pose in zip(model.frames, true_poses, model.world_T_object, strict=True):
-        found = pose @ geometry.inverse(true_T_model)
-        shift = geometry.transform(found, center) - geometry.transform(true_pose, center)
-        age = next((age for age in AGES if number - model.frames[0] <= age), AGES[-1] + 1)
-        score.shifts.setdefault(age, []).append(1000 * float(np.linalg.norm(shift)))
-        turn = geometry.rotation_angle(found[:3, :3].T @ true_pose[:3, :3])
-        score.turns.setdefault(age, []).append(float(np.degrees(turn)))
+        score.models.add(number - model.frames[0], pose @ model_T_true, true_pose, center)
 
 
 def true_surface(frames: Sequence[SequenceRow], label: int) -> tuple[Float64Array, Float64Array]:
@@ -226,10 +269,12 @@ def true_surface(frames: Sequence[SequenceRow], label: int) -> tuple[Float64Arra
 
 
 def following_table(title: str, scores: dict[str, Score]) -> Table:
-    table = Table("method", "followed steps", "switches", "objects that moved", "with a model", title=title)
+    columns = ("method", "followed steps", "switches", "IoU at rest, median", "mean", "objects that moved", "modelled")
+    table = Table(*columns, title=title)
     for method, score in scores.items():
         share = f"{score.tracked} of {score.visible} ({score.tracked / max(1, score.visible):.0%})"
-        table.add_row(method, share, str(score.switches), str(score.moved), str(score.modelled))
+        rest = (f"{np.median(score.rest):.2f}", f"{np.mean(score.rest):.2f}") if score.rest else ("-", "-")
+        table.add_row(method, share, str(score.switches), *rest, str(score.moved), str(score.modelled))
     return table
 
 
@@ -252,17 +297,18 @@ def model_table(scores: dict[str, Score]) -> Table:
 
 
 def pose_table(scores: dict[str, Score]) -> Table:
-    """Median pose errors by the number of frames since the first fused view."""
+    """Median pose errors by the number of frames since an object was followed first."""
     names = {age: f"<= {age}" for age in AGES} | {AGES[-1] + 1: f"> {AGES[-1]}"}
     table = Table("median pose error after", *names.values())
     for method, score in scores.items():
-        cells = [
-            f"{np.median(score.shifts[age]):.1f} mm {np.median(score.turns[age]):.1f} deg"
-            if age in score.shifts
-            else "-"
-            for age in names
-        ]
-        table.add_row(method, *cells)
+        for kind, errors in (("track", score.tracks), ("model", score.models)):
+            cells = [
+                f"{np.median(errors.shifts[age]):.1f} mm {np.median(errors.turns[age]):.1f} deg"
+                if age in errors.shifts
+                else "-"
+                for age in names
+            ]
+            table.add_row(f"{method}, {kind}", *cells)
     return table
 
 

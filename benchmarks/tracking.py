@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from rich.table import Table
 
 from objectflow import geometry
 from objectflow.dataset.pairing import pair_of_frames
-from objectflow.dataset.schema import SequenceRow
+from objectflow.dataset.schema import PairObject, SequenceRow
 from objectflow.dataset.shards import open_sequences
 from objectflow.evaluation.methods import parse_methods
 from objectflow.methods.base import Estimator
@@ -47,21 +47,60 @@ class Settings:
     """Maximum number of sequences."""
 
 
+MIN_PIXELS = 100
+"""Number of visible pixels from which an object counts."""
+
+
 @dataclasses.dataclass
-class Score:
+class FollowedSteps:
     """Sums over sequences.
 
     Attributes:
-        visible: number of object observations, i.e. moving objects with at least 100 pixels, summed over frames.
+        visible: number of object observations, i.e. moving objects with at least `MIN_PIXELS`, summed over frames.
         tracked: number of observations with a matching track.
         switches: number of identity switches.
-        tracks: number of tracks.
-        errors: error of each tracked object's centre, accumulated since the track's first match, centimetres.
     """
 
     visible: int = 0
     tracked: int = 0
     switches: int = 0
+
+    def add_pair(
+        self, prev: SequenceRow, curr: SequenceRow, motion: SceneMotion, links: Mapping[int, int], last: dict[int, int]
+    ) -> Iterator[tuple[PairObject, int | None]]:
+        """Count the moving objects of a pair.
+
+        Args:
+            prev, curr: consecutive frames of a sequence.
+            motion: its estimate.
+            links: the track of each object of the estimate.
+            last: the last track of each true object of the sequence, which is updated.
+
+        Yields:
+            Each visible moving object and the track that follows it, if there is one.
+        """
+        for obj in pair_of_frames(prev, curr).objects:
+            mask = curr.labels == obj.label
+            if not moved(obj.translation) or mask.sum() < MIN_PIXELS:
+                continue
+            self.visible += 1
+            track_id = best_match(mask, motion.labels, links)
+            if track_id is not None:
+                self.tracked += 1
+                self.switches += obj.label in last and last[obj.label] != track_id
+                last[obj.label] = track_id
+            yield obj, track_id
+
+
+@dataclasses.dataclass
+class Score(FollowedSteps):
+    """Sums over sequences; see `FollowedSteps`.
+
+    Attributes:
+        tracks: number of tracks.
+        errors: error of each tracked object's centre, accumulated since the track's first match, centimetres.
+    """
+
     tracks: int = 0
     errors: list[float] = dataclasses.field(default_factory=list)
 
@@ -120,17 +159,9 @@ def add_sequence(score: Score, frames: Sequence[SequenceRow], results: Iterator[
     for (prev, curr), motion in zip(itertools.pairwise(frames), results, strict=True):
         links = tracker.update(prev.frame / FRAME_RATE, curr.image, curr.frame / FRAME_RATE, motion)
         tracks = {track.id: track for track in tracker.tracks}
-        for obj in pair_of_frames(prev, curr).objects:
-            mask = curr.labels == obj.label
-            if not moved(obj.translation) or mask.sum() < 100:
-                continue
-            score.visible += 1
-            track_id = best_match(mask, motion.labels, links)
+        for obj, track_id in score.add_pair(prev, curr, motion, links, last):
             if track_id is None:
                 continue
-            score.tracked += 1
-            score.switches += obj.label in last and last[obj.label] != track_id
-            last[obj.label] = track_id
             track = tracks[track_id]
             start_pose, true_start = starts.setdefault(
                 (obj.label, track_id), (track.world_T_object[-2], obj.prev_pose)
@@ -142,7 +173,7 @@ def add_sequence(score: Score, frames: Sequence[SequenceRow], results: Iterator[
     score.tracks += len(tracker.tracks)
 
 
-def best_match(mask: BoolMask, labels: LabelImage, links: dict[int, int]) -> int | None:
+def best_match(mask: BoolMask, labels: LabelImage, links: Mapping[int, int]) -> int | None:
     """The track whose object has the largest IoU with a true mask, if it reaches the minimum."""
     best, track_id = MIN_IOU, None
     for label in np.unique(labels[mask]).tolist():

@@ -167,6 +167,21 @@ def test_no_pair_crosses_a_cut(sequence: Path, tmp_path: Path, monkeypatch: pyte
     assert pairs == {"pair_000000_000001", "pair_000002_000003", "pair_000003_000004"}
 
 
+def test_a_cut_to_another_scene_starts_a_new_world_and_is_said(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for index in (3, 4):
+        cv2.imwrite(str(sequence / "depth" / f"{index}.png"), np.full((48, 64), 2000, np.uint16))
+    out = tmp_path / "out"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    for _ in range(2):  # a continued run says the same
+        assert main(command) == 0
+        assert "a new world starts at frame 3 written to" in " ".join(capsys.readouterr().out.split())
+        assert "frame 3: a new world starts" in (out / "notes.txt").read_text()
+        rows = list(csv.DictReader((out / "summary.csv").open()))
+        assert [row["camera_cm"] for row in rows] == ["0.0", "0.0", "unknown", "0.0"]
+
+
 def test_a_pair_folder_is_a_sequence_of_one_pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["run", str(PAIR), "--method", "zero"]) == 0

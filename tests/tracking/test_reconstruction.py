@@ -13,7 +13,7 @@ from objectflow import geometry
 from objectflow.tracking.background import BackgroundCloud
 from objectflow.tracking.model_files import write_models
 from objectflow.tracking.reconstruction import ReconstructionSettings, SequenceView, fuse_background, fuse_objects
-from objectflow.tracking.tracker import Track
+from objectflow.tracking.track import Track
 from objectflow.typing import Float64Array
 
 BOX = solid("box", (0.05, 0.07, 0.04))

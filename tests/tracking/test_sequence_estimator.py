@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ class Scene:
         self.labels: dict[int, LabelImage] = {}
         self.places: dict[int, dict[int, Place]] = {}
 
-    def frame(self, number: int, places: dict[int, Place]) -> RgbdFrame:
+    def frame(self, number: int, places: dict[int, Place], noise: float = 0.0) -> RgbdFrame:
         depth = np.full((120, 160), 2.0, np.float32)
         color = np.full((120, 160, 3), 120, np.uint8)
         labels = np.zeros((120, 160), np.int32)
@@ -41,6 +42,7 @@ class Scene:
             inside = (u >= 0) & (u < 0.24) & (v >= 0) & (v < 0.24)
             cells = (v[inside] * 25).astype(int), (u[inside] * 25).astype(int)
             color[inside], depth[inside], labels[inside] = np.roll(TEXTURE, plate, axis=2)[cells], z, plate
+        depth += noise * np.random.default_rng(number).standard_normal(depth.shape).astype(np.float32)
         self.labels[number], self.places[number] = labels, places
         return RgbdFrame(color, depth, CAMERA, timestamp=float(number))
 
@@ -60,11 +62,11 @@ class Scene:
 
 
 def play(
-    places: list[dict[int, Place]], error: Place = (0, 0, 0)
+    places: list[dict[int, Place]], error: Place = (0, 0, 0), noise: float = 0.0
 ) -> tuple[Scene, SequenceEstimator, list[SequenceStep]]:
-    """Feed frames of the plates at these places."""
+    """Feed frames of the plates at these places; `error` of each motion and `noise` of depth in metres."""
     scene = Scene()
-    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+    frames = [scene.frame(number, here, noise) for number, here in enumerate(places)]
     sequence = SequenceEstimator(lambda prev, curr: scene.motion(round(curr.timestamp or 0), error))
     steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
     return scene, sequence, steps
@@ -84,6 +86,14 @@ def test_an_object_stays_known_at_rest_and_what_never_moved_is_not_known() -> No
         assert set(np.unique(step.known)) == {0, 1}
         assert iou(step.known == 1, scene.labels[number] == 1) > (0.99 if number < 5 else 0.9)
     assert [len(step.tracks) for step in steps] == [1] * 4 + [0] * 6
+
+
+def test_masks_at_rest_hold_under_the_noise_of_the_sequences_own_camera() -> None:
+    """The noise is that of a stereo camera; the formula of structured light gives 2 mm at this depth."""
+    scene, sequence, steps = play([*PUSH, *[PUSH[-1]] * 6], noise=0.012)
+    assert sequence.noise.noise.sigma(1.0) == pytest.approx(0.012, rel=0.2)
+    for number in range(6, 11):
+        assert iou(steps[number - 1].known == 1, scene.labels[number] == 1) > 0.9
 
 
 def test_a_half_hidden_object_is_known_where_it_is_seen_and_a_hidden_one_is_found_again() -> None:
@@ -182,3 +192,60 @@ def test_times_must_rise() -> None:
     scene, sequence, _ = play(PUSH)
     with pytest.raises(FrameError, match="in order of time"):
         sequence.update(scene.frame(4, PUSH[4]))
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_step_of_low_score_is_followed_where_the_model_confirms_it(moves: bool) -> None:
+    """In the last pair the method reports the plate's usual motion with a low score; the plate moves, or rests."""
+    scene = Scene()
+    frames = [scene.frame(number, here) for number, here in enumerate([*PUSH[:4], PUSH[4 if moves else 3]])]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = int(curr.timestamp or 0)
+        if number < 4:
+            return scene.motion(number)
+        usual = replace(scene.motion(3).objects[0], score=0.1)
+        return SceneMotion(np.where(scene.labels[4] == 1, 1, 0).astype(np.int32), scene.motion(3).scene_flow, (usual,))
+
+    sequence = SequenceEstimator(estimate)
+    for frame in frames:
+        sequence.update(frame)
+    (track,) = sequence.tracks
+    assert track.gaps == ([] if moves else [4])
+    moved = track.world_T_object[-1][0, 3] - track.world_T_object[0][0, 3]
+    assert moved == pytest.approx(0.12 if moves else 0.09, abs=0.004)
+    assert track.confidence == pytest.approx((3 * 0.9 + (0.1 if moves else 0)) / 4)
+
+
+def other_scene(number: int) -> RgbdFrame:
+    """A slope of another colour at 0.6 to 1.2 m."""
+    depth = np.tile(np.linspace(0.6, 1.2, 160, dtype=np.float32), (120, 1))
+    return RgbdFrame(np.full((120, 160, 3), (40, 160, 60), np.uint8), depth, CAMERA, timestamp=float(number))
+
+
+def test_a_cut_to_another_scene_starts_a_new_world_and_is_noted() -> None:
+    """The method reports a moving object at the cut, as one for a static camera does."""
+    scene = Scene()
+    frames = [*(scene.frame(number, here) for number, here in enumerate(PUSH)), other_scene(5), other_scene(6)]
+    scene.labels[5], scene.places[5] = scene.labels[4], {**PUSH[4], 1: (0.0, 0.0, 1.0)}
+    still = SceneMotion(np.zeros((120, 160), np.int32), np.zeros((120, 160, 3), np.float32))
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(int(curr.timestamp)) if curr.timestamp < 6 else still)
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    assert [step.motion.camera_known for step in steps] == [True] * 4 + [False, True]
+    assert "cut" in steps[4].motion.notes[0]
+    assert steps[4].tracks == {}
+    assert not steps[4].known.any()
+    assert not sequence.known_objects.objects
+    assert sequence.tracker.camera_times == [5, 6]
+
+
+def test_neither_a_change_of_light_nor_a_hand_before_the_lens_is_a_cut() -> None:
+    scene = Scene()
+    frames = [scene.frame(number, here) for number, here in enumerate(PUSH)]
+    darker = [RgbdFrame(f.color // 2 if k > 2 else f.color, f.depth, CAMERA, float(k)) for k, f in enumerate(frames)]
+    hand = frames[4].depth.copy()
+    hand[:, :110] = 0.3
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(min(4, int(curr.timestamp))))
+    for frame in (*darker, RgbdFrame(darker[4].color, hand, CAMERA, 5.0)):
+        step = sequence.update(frame)
+        assert step is None or step.motion.camera_known

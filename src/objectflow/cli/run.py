@@ -64,6 +64,8 @@ MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
 NOTES = "notes.txt"
 """File of the notes on the source and of the frames that were left out; absent if there are none."""
+MAX_NEW_WORLDS = 5
+"""Maximum number of printed frames at which a new world starts."""
 MAX_LEFT_OUT_LINES = 5
 """Maximum number of frames left out that are printed, one line each."""
 
@@ -170,8 +172,8 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 if self.video:
                     overlays = [out / _name(pair) / "overlay.png" for pair in finished]
                     write_video(out / VIDEO, overlays, tracks.frame_rate)
-                _summarise(out, finished, skipped=skipped)
-                _report(out, source.notes, pairs.left_out)
+                worlds = _summarise(out, finished, skipped=skipped)
+                _report(out, (*source.notes, *worlds), pairs.left_out)
                 if followed:
                     print(f"{followed} object{'s' * (followed != 1)} followed: {TRACKS}, {TRAJECTORIES}")
                 if self.models:
@@ -240,8 +242,12 @@ def _name(pair: tuple[int, int]) -> str:
     return f"pair_{pair[0]:06d}_{pair[1]:06d}"
 
 
-def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
-    """Write and print one line per pair, read back from the results, so that a continued run prints the same."""
+def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> list[str]:
+    """Write and print one line per pair, read back from the results, so that a continued run prints the same.
+
+    Returns:
+        A line for each frame at which a new world starts.
+    """
     columns = ("prev", "curr", "objects", "moving", "largest displacement, cm", "camera, cm", "time, s")
     rows = [_row(pair, SceneMotion.load(out / _name(pair))) for pair in pairs]
     lines = [",".join(name.replace(",", "").replace(" ", "_") for name in columns)] + [",".join(row) for row in rows]
@@ -260,9 +266,16 @@ def _summarise(out: Path, pairs: list[tuple[int, int]], skipped: int) -> None:
     seconds = statistics.median(float(row[6]) for row in rows)
     again = f", {skipped} of them done before" if skipped else ""
     console.print(f"{len(rows)} pairs{again}; something moved in {moving}; median {seconds:.2f} s a pair")
-    unknown = sum(row[5] == "unknown" for row in rows)
-    if unknown:
-        console.print(f"note: the camera's motion is unknown in {unknown}, so no object is reported there")
+    lost = [pair for pair, row in zip(pairs, rows, strict=True) if row[5] == "unknown"]
+    if lost:
+        frames = ", ".join(str(curr) for _, curr in lost[:MAX_NEW_WORLDS]) + ", ..." * (len(lost) > MAX_NEW_WORLDS)
+        console.print(
+            f"note: the camera's motion is unknown in {len(lost)}, so no object is reported there; "
+            f"a new world starts at frame{'s' * (len(lost) != 1)} {frames}"
+        )
+    return [
+        f"frame {curr}: a new world starts, as the camera's motion from frame {prev} is unknown" for prev, curr in lost
+    ]
 
 
 def _report(out: Path, notes: tuple[str, ...], left_out: dict[int, ReaderError | FrameError]) -> None:

@@ -15,7 +15,8 @@ from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
 from objectflow.storage.locked_folder import SETTINGS, FolderKind
 from objectflow.tracking.reconstruction import SequenceView
-from objectflow.tracking.tracker import Track
+from objectflow.tracking.track import Track
+from objectflow.tracking.tracker import next_camera_pose
 from objectflow.tracking.trajectory_files import TRACKS
 
 RUN_FOLDER = FolderKind(
@@ -108,13 +109,14 @@ def run_views(source: FrameSource, pairs: list[tuple[int, int, Path]]) -> Iterat
         if max(prev, curr) >= len(source):
             raise ResultError(f"{folder}: its source has only {len(source)} frames now: the source has changed")
         motion = SceneMotion.load(folder)
-        if last is not None and (prev != last or not motion.camera_known):
+        pose = next_camera_pose(world_T_camera, motion)
+        if last is not None and (prev != last or pose is None):
             part, world_T_camera = part + 1, np.eye(4)
+            pose = next_camera_pose(world_T_camera, motion)
         last = curr
-        if not motion.camera_known:
+        if pose is None:
             continue
-        if motion.camera_motion is not None:
-            world_T_camera = world_T_camera @ motion.camera_motion
+        world_T_camera = pose
         frame, time = source[curr], source.timestamp(curr)
         if frame.depth.shape != motion.labels.shape:
             raise ResultError(f"{folder}: its labels do not fit the frames of the source: the source has changed")

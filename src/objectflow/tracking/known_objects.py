@@ -9,6 +9,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_settings import KnownSettings
@@ -47,8 +48,33 @@ class KnownObjects:
         self.settings = settings or KnownSettings()
         self.objects: dict[int, KnownObject] = {}
 
+    def view(self, frame: PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> FrameView:
+        """A frame, prepared for its comparison with the models.
+
+        Args:
+            frame: the frame.
+            noise: of its depth.
+        """
+        return FrameView(frame, self.settings, noise)
+
+    def confirms(self, view: FrameView, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether a frame confirms that an object moved, by its model: as evidence beside an estimate of low score.
+
+        Args:
+            view: the current frame.
+            number: of the track.
+            before, after: (4, 4) `camera_T_object` if the object rests, and if it moves as estimated.
+        """
+        known = self.objects.get(number)
+        if known is None:
+            return False
+        pose, better = view.register(known.model, after)
+        fit = view.fit(known.model, pose if better else after)
+        seen = fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present
+        return seen and view.is_better(known.model, before, pose if better else after)
+
     def update(
-        self, frame: PreparedFrame, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker
+        self, view: FrameView, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker, shape: tuple[int, ...]
     ) -> LabelImage:
         """Compare the models with the current frame, and extend those of the objects that moved.
 
@@ -56,18 +82,18 @@ class KnownObjects:
         registered once more, and its track continues from there.
 
         Args:
-            frame: the current frame.
+            view: the current frame.
             motion: the estimate for the pair that ends with it.
             tracks: the track id of each object of the estimate, as `Tracker.update` returned them.
             tracker: after this update.
+            shape: (H, W) of the result, that of the frame.
 
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
         """
         if not tracker.world_T_camera:  # the camera is lost
             self.objects = {}
-            return np.zeros(frame.frame.depth.shape, np.int32)
-        view = FrameView(frame, self.settings)
+            return np.zeros(shape, np.int32)
         curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))
@@ -85,6 +111,7 @@ class KnownObjects:
             if number not in self.objects:
                 continue
             known = self.objects[number]
+            track.model = known.model
             pose = curr_T_world @ known.world_T_object
             fit = view.fit(known.model, pose)
             known.present = fit.present if fit.visible >= self.settings.min_visible else 0.0
@@ -104,7 +131,7 @@ class KnownObjects:
                 off = np.abs(depths[number] - view.frame.frame.depth)
             wins = regions[number] & (off < best)
             out[wins], best[wins] = number, off[wins]
-        return np.asarray(resize_nearest(out, frame.frame.depth.shape), dtype=np.int32)
+        return np.asarray(resize_nearest(out, shape), dtype=np.int32)
 
     def _move(
         self,
@@ -142,9 +169,11 @@ class KnownObjects:
     def _registered(
         self, model: SurfaceModel, world_T_object: Float64Array, view: FrameView, curr_T_world: Float64Array
     ) -> Float64Array:
-        """The pose registered to the model, or the given one where registration moves far or fits clearly worse."""
+        """The pose registered to the model, or the given one where registration is not clearly better or moves far."""
         start = curr_T_world @ world_T_object
-        pose = view.register(model, start)
+        pose, better = view.register(model, start)
+        if not better:
+            return world_T_object
         change = geometry.inverse(start) @ pose
         angle = math.degrees(float(geometry.rotation_angle(change[:3, :3])))
         center = model.points.mean(axis=0)

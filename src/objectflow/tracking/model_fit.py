@@ -10,8 +10,9 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSource, RegistrationTarget, refine
-from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
+from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.pose_cost import is_better, pose_costs
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.typing import BoolMask, Float32Array, Float64Array
 
@@ -47,24 +48,25 @@ class FrameView:
 
     Attributes:
         frame: the prepared frame.
+        noise: of its depth.
         chroma: (H, W, 2) float32, the colour-opponent channels of CIELAB, slightly blurred.
     """
 
-    def __init__(self, frame: PreparedFrame, settings: KnownSettings) -> None:
-        self.frame, self.settings = frame.at_width(settings.width), settings
-        self.chroma = chroma(cv2.GaussianBlur(self.frame.frame.color, (0, 0), 1.0))
+    def __init__(self, frame: PreparedFrame, settings: KnownSettings, noise: DepthNoise = STRUCTURED_LIGHT) -> None:
+        self.frame, self.settings, self.noise = frame.at_width(settings.width), settings, noise
+        self.chroma = chroma(cv2.GaussianBlur(self.frame.frame.color, (0, 0), settings.color_blur))
         self._target: RegistrationTarget | None = None
 
     @property
     def target(self) -> RegistrationTarget:
         """The frame as the target of registration."""
         if self._target is None:
-            self._target = RegistrationTarget(self.frame)
+            self._target = RegistrationTarget(self.frame, self.noise)
         return self._target
 
     def tolerance(self, z: Float32Array | Float64Array) -> Float64Array:
         """Metres: largest difference of depth between a model and the frame at depths z."""
-        return self.settings.depth_sigmas * STRUCTURED_LIGHT.sigma(z).astype(np.float64) + self.settings.depth_margin
+        return self.settings.depth_sigmas * self.noise.sigma(z).astype(np.float64) + self.settings.depth_margin
 
     def fit(self, model: SurfaceModel, camera_T_object: Float64Array) -> ModelFit:
         """Compare a model with the frame.
@@ -109,19 +111,28 @@ class FrameView:
             spread(known & ((offset < -tolerance) | (agrees & ~alike))),
         )
 
-    def register(self, model: SurfaceModel, camera_T_object: Float64Array) -> Float64Array:
+    def register(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[Float64Array, bool]:
         """The pose refined by point-to-plane registration of the model to the frame, with colour.
 
         Args:
             model: of the object.
             camera_T_object: (4, 4) initial pose, a few centimetres and degrees off at most.
+
+        Returns:
+            The registered pose, and whether it explains the frame better than the initial one; see `pose_costs`.
         """
-        facing = np.flatnonzero(model.facing(camera_T_object))
-        if len(facing) > self.settings.registration_points:
-            facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
-        grays = model.grays()[facing]
-        source = RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
-        return refine(self.target, source, camera_T_object, settings=self.settings.registration).prev_T_curr
+        settings, source = self.settings, self._source(model, camera_T_object)
+        pose = refine(self.target, source, camera_T_object, settings=settings.registration).prev_T_curr
+        costs = pose_costs(self.target, source, (camera_T_object, pose), settings.registration, settings.pose_cost)
+        return pose, is_better(costs, settings.pose_cost)
+
+    def is_better(self, model: SurfaceModel, given: Float64Array, other: Float64Array) -> bool:
+        """Whether a pose (4, 4) `camera_T_object` explains the frame better than a given one; see `pose_costs`."""
+        settings = self.settings
+        costs = pose_costs(
+            self.target, self._source(model, given), (given, other), settings.registration, settings.pose_cost
+        )
+        return is_better(costs, settings.pose_cost)
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.
@@ -145,8 +156,19 @@ class FrameView:
         alike = np.abs(color - self.chroma[rows, columns]).max(axis=-1, initial=0) <= self.settings.max_chroma
         agrees[rows, columns] = near & alike
         return np.asarray(
-            _closed(agrees, 2) & inside & (measured > 0) & (agrees | _near(depth, measured, self.settings.gap_depth))
+            _closed(agrees, self.settings.gap_radius)
+            & inside
+            & (measured > 0)
+            & (agrees | _near(depth, measured, self.settings.gap_depth))
         ), depth
+
+    def _source(self, model: SurfaceModel, camera_T_object: Float64Array) -> RegistrationSource:
+        """The points of the model that face the camera, sampled evenly."""
+        facing = np.flatnonzero(model.facing(camera_T_object))
+        if len(facing) > self.settings.registration_points:
+            facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
+        grays = model.grays()[facing]
+        return RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
 
 
 def chroma(color: Float64Array | np.ndarray) -> Float32Array:

@@ -20,13 +20,15 @@ from objectflow.alignment.registration import (
     RegistrationSettings,
     RegistrationSources,
     RegistrationTarget,
+    evaluate_registration,
     refine,
 )
 from objectflow.frame import RgbdFrame
 from objectflow.settings import Settings, setting
 from objectflow.tracking.background import BackgroundCloud
 from objectflow.tracking.object_volume import ObjectVolume, VolumeSettings
-from objectflow.tracking.tracker import Track
+from objectflow.tracking.pose_cost import PoseCostSettings, is_better, pose_costs
+from objectflow.tracking.track import Track
 from objectflow.typing import BoolMask, Float64Array, LabelImage, UInt8Array
 
 
@@ -38,6 +40,8 @@ class ReconstructionSettings(Settings):
     """Resolution and weights of the volumes."""
     registration: RegistrationSettings = RegistrationSettings()
     """Convergence and weights of the registration to the model."""
+    pose_cost: PoseCostSettings = PoseCostSettings()
+    """When a registered pose replaces that of the track."""
     min_fitness: float = setting(0.5, minimum=0, maximum=1)
     """Smallest share of a view's points on the model at which the view is registered and fused."""
     max_shift: float = setting(0.03, above=0)
@@ -190,6 +194,7 @@ def register_to_model(
     mask: BoolMask,
     camera_T_object: Float64Array,
     settings: RegistrationSettings | None = None,
+    pose_cost: PoseCostSettings | None = None,
 ) -> tuple[Float64Array, RegistrationResult] | None:
     """Register the masked part of a frame to a volume as it is seen from an expected pose.
 
@@ -199,9 +204,11 @@ def register_to_model(
         mask: (H, W) bool: the object's pixels.
         camera_T_object: (4, 4) expected pose; the basin of convergence is that of `refine`.
         settings: of the registration.
+        pose_cost: when the registered pose replaces the expected one.
 
     Returns:
-        The registered pose and the quality of the fit; None where the volume is not in view.
+        The registered pose, or the expected one where registration is not clearly better, and the quality of its fit;
+        None where the volume is not in view.
     """
     shown = volume.render(frame.camera, camera_T_object)
     if shown.valid.sum() < volume.settings.min_pixels:
@@ -209,7 +216,11 @@ def register_to_model(
     model = RgbdFrame(_extended(shown.color, shown.valid), shown.depth, frame.camera)
     target = RegistrationTarget(model, volume.noise)
     source = RegistrationSources(frame).take(mask)
-    result = refine(target, source, np.eye(4), settings=settings or RegistrationSettings())
+    settings, pose_cost = settings or RegistrationSettings(), pose_cost or PoseCostSettings()
+    result = refine(target, source, np.eye(4), settings=settings)
+    costs = pose_costs(target, source, (np.eye(4), result.prev_T_curr), settings, pose_cost)
+    if not is_better(costs, pose_cost):
+        result = evaluate_registration(target, source, np.eye(4), settings)
     return geometry.inverse(result.prev_T_curr) @ camera_T_object, result
 
 
@@ -220,7 +231,7 @@ def _fuse_view(
     frame, mask = _cropped(view.frame, mask, settings.margin)
     pose = expected
     if model.frames:
-        found = register_to_model(model.volume, frame, mask, expected, settings.registration)
+        found = register_to_model(model.volume, frame, mask, expected, settings.registration, settings.pose_cost)
         if found is not None:
             pose, result = found
             if result.fitness < settings.min_fitness or not _is_close(expected, pose, model, settings):

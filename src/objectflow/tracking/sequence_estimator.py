@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.tracker import Track, Tracker
+from objectflow.tracking.running_noise import RunningNoise
+from objectflow.tracking.scene_cut import CutSettings, is_cut
+from objectflow.tracking.track import Track
+from objectflow.tracking.tracker import Tracker
 from objectflow.typing import LabelImage
+
+CUT = "cut: the frames show different scenes, so no object is reported, and objects get new ids"
+"""Note of an estimate that a cut replaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +32,7 @@ class SequenceStep:
     Attributes:
         prev, curr: the last frame and this one.
         times: of both, seconds, or frame numbers where there are no times.
-        motion: between the frames.
+        motion: between the frames; the camera is unknown at a cut to another scene, where a new world begins.
         tracks: track id of each object of `motion` that has a track, by the object's id.
         known: (H, W) int32 label image of every object that has moved up to now, by track id, also at rest and half
             hidden; 0 elsewhere.
@@ -45,13 +53,20 @@ class SequenceEstimator:
     and continue a sequence, also in another process.
 
     Attributes:
+        cuts: when two frames show different scenes.
         tracker: the trajectories of the objects and of the camera.
         known_objects: the models of the objects.
+        noise: the running estimate of the camera's depth noise, with which models are compared with frames.
         segmentation: the label image `known` of the latest step; None before the first.
     """
 
     def __init__(
-        self, estimator: Estimator, *, tracker: Tracker | None = None, settings: KnownSettings | None = None
+        self,
+        estimator: Estimator,
+        *,
+        tracker: Tracker | None = None,
+        settings: KnownSettings | None = None,
+        cuts: CutSettings | None = None,
     ) -> None:
         """Prepare a sequence.
 
@@ -59,10 +74,13 @@ class SequenceEstimator:
             estimator: of the pairs.
             tracker: a new one, for settings other than the default.
             settings: of the known objects.
+            cuts: when two frames show different scenes.
         """
         self.estimator = estimator
+        self.cuts = cuts or CutSettings()
         self.tracker = tracker or Tracker()
         self.known_objects = KnownObjects(settings)
+        self.noise = RunningNoise(self.known_objects.settings.noise_pairs, self.known_objects.settings.noise)
         self.segmentation: LabelImage | None = None
         self._last: PreparedFrame | None = None
         self._time = 0.0
@@ -101,13 +119,20 @@ class SequenceEstimator:
         # What the last estimate computed on its current frame is not computed again.
         pair = FramePair(prev, frame)
         found = estimate_pair(self.estimator, pair) if motion is None else motion
-        tracks = self.tracker.update(prev_time, frame, time, found)
-        known = self.known_objects.update(pair.curr, found, tracks, self.tracker)
+        if is_cut(pair, found, self.cuts):
+            unknown = unknown_motion(found.labels.shape)
+            found = replace(unknown, method=found.method, seconds=found.seconds, settings=found.settings, notes=(CUT,))
+        view = self.known_objects.view(pair.curr, self.noise.add(pair, found))
+        tracks = self.tracker.update(prev_time, frame, time, found, partial(self.known_objects.confirms, view))
+        known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape)
         self._last, self._time, self.segmentation = pair.curr, time, known
         return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known)
 
     def cut(self) -> None:
-        """Start a new world, as after a cut: the next frame is a first one, and objects get new ids."""
+        """Start a new world, as after a cut: the next frame is a first one, and objects get new ids.
+
+        The noise of the camera is kept.
+        """
         self.tracker.reset()
         self.known_objects.objects = {}
         self._last = self.segmentation = None
@@ -118,6 +143,7 @@ class SequenceEstimator:
         return {
             "tracker": self.tracker,
             "known_objects": self.known_objects,
+            "noise": self.noise,
             "last": last,
             "time": self._time,
             "segmentation": self.segmentation,
@@ -126,5 +152,6 @@ class SequenceEstimator:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Continue from a `state`; the estimator must be the same."""
         self.tracker, self.known_objects = state["tracker"], state["known_objects"]
+        self.noise = state["noise"]
         self._last = None if state["last"] is None else PreparedFrame(state["last"])
         self._time, self.segmentation = state["time"], state["segmentation"]

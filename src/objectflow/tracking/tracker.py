@@ -6,7 +6,8 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +20,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
+from objectflow.tracking.track import Track
 from objectflow.typing import BoolMask, Float64Array
 
 _BINS = (4, 16, 16)
@@ -48,27 +50,6 @@ class TrackerSettings(Settings):
     """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
     max_points: int = setting(600, minimum=1)
     """Maximum number of surface points stored per track."""
-
-
-@dataclass(eq=False)
-class Track:
-    """The trajectory of one object. The world frame is the camera of the first frame.
-
-    Attributes:
-        id: from 1, never reused.
-        times: of each pose, in seconds, or frame numbers where there are no times.
-        world_T_object: (4, 4) at each time. The object frame starts at the object's centre, aligned with the world.
-        labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame.
-        scores: of each pose.
-        gaps: times at which the object was seen to move, but with a score too low for a pose.
-    """
-
-    id: int
-    times: list[float] = field(default_factory=list)
-    world_T_object: list[Float64Array] = field(default_factory=list)
-    labels: list[int] = field(default_factory=list)
-    scores: list[float] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)
 
 
 class _Surface(NamedTuple):
@@ -107,7 +88,14 @@ class Tracker:
         """All tracks that are kept, in order of id."""
         return list(self._tracks.values())
 
-    def update(self, prev_time: float, curr: RgbdFrame, time: float, motion: SceneMotion) -> dict[int, int]:
+    def update(
+        self,
+        prev_time: float,
+        curr: RgbdFrame,
+        time: float,
+        motion: SceneMotion,
+        confirms: Callable[[int, Float64Array, Float64Array], bool] | None = None,
+    ) -> dict[int, int]:
         """Add the next pair, whose previous frame must be the current frame of the last call.
 
         Args:
@@ -115,6 +103,8 @@ class Tracker:
             curr: the pair's current frame.
             time: of the current frame, later than `prev_time`.
             motion: the estimate for the pair.
+            confirms: whether the current frame confirms a step of low score, by the id of the track and its poses
+                `camera_T_object` (4, 4) before and after the step, both in the current camera; such a step is no gap.
 
         Returns:
             Track id of each object of `motion` that has a track, by the object's id.
@@ -128,18 +118,18 @@ class Tracker:
             )
         if motion.labels.shape != curr.depth.shape:
             raise FrameError(f"labels {motion.labels.shape} do not fit the frame {curr.depth.shape}")
-        if not motion.camera_known:
-            # Poses cannot be continued in a world whose camera is lost.
+        world_T_prev = self.world_T_camera[-1] if self.world_T_camera else np.eye(4)
+        world_T_curr = next_camera_pose(world_T_prev, motion)
+        if world_T_curr is None:
             self.reset()
             return {}
         if not self.camera_times:
             self.camera_times.append(prev_time)
-            self.world_T_camera.append(np.eye(4))
-        world_T_prev = self.world_T_camera[-1]
-        camera_step = np.eye(4) if motion.camera_motion is None else motion.camera_motion
-        world_T_curr = world_T_prev @ camera_step
+            self.world_T_camera.append(world_T_prev)
         self.camera_times.append(time)
         self.world_T_camera.append(world_T_curr)
+        for track_id in self._states:
+            self._tracks[track_id].world_T_camera = world_T_curr
 
         objects = [o for o in motion.objects if o.moving]
         surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
@@ -147,17 +137,23 @@ class Tracker:
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
-            if obj.score < self.settings.min_score:
-                if number is not None:
-                    self._tracks[number].gaps.append(time)
-                continue
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
+            if obj.score < self.settings.min_score:
+                if number is None:
+                    continue
+                before = geometry.inverse(world_T_curr) @ self._tracks[number].world_T_object[-1]
+                after = geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
+                after = after @ self._tracks[number].world_T_object[-1]
+                if confirms is None or not confirms(number, before, after):
+                    self._tracks[number].gaps.append(time)
+                    continue
             track = self._track(number, obj, prev_time, world_T_prev)
             track.times.append(time)
             track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
+            track.world_T_camera = world_T_curr
             points = geometry.transform(world_T_curr, surface.points)
             self._states[track.id] = _LastState(points, surface.colors, world_step)
             found[obj.id] = track.id
@@ -246,6 +242,22 @@ class Tracker:
         del self.camera_times[:-keep], self.world_T_camera[:-keep]
         for track in self._tracks.values():
             del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
+            track.gaps = [time for time in track.gaps if time >= track.times[0]]
+
+
+def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64Array | None:
+    """The camera's pose in the current frame of a pair.
+
+    Args:
+        world_T_prev: (4, 4) pose in the previous frame.
+        motion: the estimate for the pair.
+
+    Returns:
+        (4, 4), or None where the camera is lost: poses cannot be continued, and the next frame starts a new world.
+    """
+    if not motion.camera_known:
+        return None
+    return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion
 
 
 def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from objectflow.storage import files
-from objectflow.tracking.tracker import Track, Tracker
+from objectflow.tracking.track import Track
+from objectflow.tracking.tracker import Tracker
 from objectflow.typing import Float64Array
 
 TRACKS = "tracks.json"
