@@ -52,6 +52,30 @@ def test_every_pair_has_a_result_folder(sequence: Path, tmp_path: Path, capsys: 
     assert "4 pairs; something moved in 0" in capsys.readouterr().out
 
 
+def test_workers_give_the_results_of_one_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "clip"
+    for kind, suffix in (("color", "jpg"), ("depth", "png")):
+        (source / kind).mkdir(parents=True)
+        for index in range(4):  # there and back again
+            shutil.copy(PAIR / f"{kind}{index % 2}.{suffix}", source / kind / f"{index}.{suffix}")
+    shutil.copy(PAIR / "camera.json", source)
+    words = ["run", str(source), "--method", "consensus", "--camera", "static", "--no-pictures"]
+    assert main([*words, "--out", str(tmp_path / "one")]) == 0
+    # A pair that is done keeps its place in the order of the workers.
+    shutil.copytree(tmp_path / "one", tmp_path / "two")
+    for pair in ("pair_000000_000001", "pair_000002_000003"):
+        shutil.rmtree(tmp_path / "two" / pair)
+    assert main([*words, "--out", str(tmp_path / "two"), "--workers", "2"]) == 0
+    for name in ("tracks.json", *(f"pair_00000{i}_00000{i + 1}/{KNOWN}" for i in range(3))):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    one, two = (
+        json.loads((tmp_path / run / "pair_000002_000003" / "objects.json").read_text()) for run in ("one", "two")
+    )
+    assert one["objects"]
+    assert {**one, "seconds": 0} == {**two, "seconds": 0}
+    assert "1 of them done before" in capsys.readouterr().out
+
+
 def test_every_selects_each_nth_frame(sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert main(["run", str(sequence), "--method", "zero", "--every", "2", "--out", str(out)]) == 0

@@ -6,7 +6,7 @@ import itertools
 import statistics
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from objectflow.cli.findings import warn_of
 from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
 from objectflow.cli.progress import show_progress
 from objectflow.cli.reconstruct import write_run_models
+from objectflow.cli.run_estimates import estimate_pairs, read_pairs
 from objectflow.cli.run_folder import RUN_FOLDER
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.errors import FrameError, ReaderError, ResultError
@@ -30,6 +31,7 @@ from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource
 from objectflow.readers.read_ahead import ReadAhead
+from objectflow.runtime.make_pool import check_workers
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
@@ -96,6 +98,13 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
 
     models: bool = False
     """Also write models, the shapes of the objects and of the background (extra `models`)."""
+
+    workers: int = 1
+    """Number of pairs that are estimated side by side; their objects are then linked in order."""
+
+    ray: Annotated[str | None, option("ADDRESS", "this machine")] = None
+    """Address of a Ray cluster ("auto", "host:6379"), or "local"; --workers is then the number of actors."""
+
     start: int = 0
     """First frame; the first one of the source is 0."""
 
@@ -108,6 +117,7 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
     def run(self) -> None:
         """Read, estimate and write, pair by pair."""
         self.check_method()
+        check_workers(self.workers)
         if self.video and not self.pictures:
             raise ReaderError("--video is made of the pictures: leave out --no-pictures")
         if self.models:
@@ -139,19 +149,23 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 is_first = True
                 shown = RunFrames(sequence)
                 tracks = RunTracks(sequence, parts, estimator)
-                with show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance:
-                    for prev_index, curr_index in itertools.chain([first], todo):
+                numbers = itertools.chain([first], todo)
+                read = read_pairs(numbers, pairs, lambda prev, curr: (out / _name((prev, curr))).is_dir())
+                with (
+                    show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance,
+                    closing(estimate_pairs(read, estimator, self.workers, self.ray)) as estimates,
+                ):
+                    for prev_index, curr_index, prev, curr, motion in estimates:
                         result = out / _name((prev_index, curr_index))
-                        if result.is_dir():
+                        if prev is None or curr is None:
                             skipped += 1
                             stored = SceneMotion.load(result)
                             step, _ = tracks.add(prev_index, curr_index, sequence[curr_index], stored)
                         else:
-                            curr = pairs.read(curr_index)
                             if is_first:
-                                warn_of(sequence[prev_index], curr)
+                                warn_of(prev, curr)
                             is_first = False
-                            step, marks = tracks.add(prev_index, curr_index, curr)
+                            step, marks = tracks.add(prev_index, curr_index, curr, motion)
                             with files.new_folder(result) as folder:
                                 write_result(
                                     folder,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.runtime.make_pool import check_workers, make_pool
 from objectflow.runtime.pool import Pool
+from objectflow.runtime.threads import share_cores
 
 FOLDER = "predictions"
 """Name of the folder of cached predictions."""
@@ -154,7 +154,7 @@ class PredictorFactory:
     def __call__(self) -> Predictor:
         """Make the predictor; called once in each worker."""
         if self.workers > 1 or self.ray:
-            _limit_threads(1 if self.ray else max(1, _cores() // self.workers))
+            share_cores(None if self.ray else self.workers)
         machine = machine_name()
         return Predictor(self.methods, machine if self.workers == 1 else f"{machine}, {self.workers} at a time")
 
@@ -204,15 +204,3 @@ def _check(motion: object, curr: RgbdFrame) -> None:
         raise ValueError(f"its result is {motion.labels.shape}, the frame {curr.depth.shape}")
     if motion.labels.min(initial=0) < 0:
         raise ValueError("its labels are negative")
-
-
-def _limit_threads(count: int) -> None:
-    import cv2
-    import torch
-
-    cv2.setNumThreads(count)
-    torch.set_num_threads(count)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
