@@ -51,7 +51,8 @@ class Settings:
     rigidmatch: tuple[str, ...] = ("full", "cpu")
     """Sizes of `rigidmatch` with random weights; may be empty."""
     stages: bool = False
-    """Print the seconds of every stage of the methods instead, with one and with two threads."""
+    """Print the seconds of every stage of the methods instead, with one and with two threads. Methods may then have
+    settings, as in `sceneflownet-c-vl:weights=weights`."""
     device: str = "cpu"
     """Device of the networks."""
     threads: int = 2

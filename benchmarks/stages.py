@@ -100,12 +100,12 @@ def measure_stages(method: str, width: int, pairs: int, threads: int) -> dict[st
     import torch
 
     import analytic
-    import objectflow
+    from objectflow.evaluation.methods import parse_methods
 
     torch.set_num_threads(threads)
     cv2.setNumThreads(threads)
     scenes = [analytic.make_scene(1000 + seed, width=width, height=width * 3 // 4) for seed in range(pairs)]
-    estimator = objectflow.load(method)
+    estimator = parse_methods([method])[0].make()
     estimator(scenes[0].prev, scenes[0].curr)
     clock = StageClock()
     clock.install()
