@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 import cases_files
+import cases_sequences
 import objectflow
 from objectflow.cli import main as run_command
 from objectflow.errors import ObjectflowError
@@ -286,6 +287,12 @@ def bag_depth_png(folder: Path) -> Outcome:
 @case("bag-yuv422")
 def bag_yuv422(folder: Path) -> Outcome:
     return same_images(folder, folder.parent / "bag-depth-png-compressed")
+
+
+@case("seq-hand")
+def seq_hand(folder: Path) -> Outcome:
+    outcome = cases_sequences.hand_over_table(folder)
+    return Outcome("one track each of hand (7), things 3 and 6; thing 1 never moves", outcome.text, outcome.ok)
 
 
 def of_files(entry: cases_files.Case) -> Callable[[Path], Outcome]:
