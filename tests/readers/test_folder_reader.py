@@ -61,6 +61,14 @@ def test_the_error_for_an_unpaired_image_names_it(tmp_path: Path) -> None:
         open_source(tmp_path, OPTIONS)
 
 
+@pytest.mark.parametrize("name", ["first", "\u0663\u0663"])
+def test_images_whose_names_have_no_number_are_refused(tmp_path: Path, name: str) -> None:
+    # Only the digits 0 to 9 number a frame.
+    write_frame(tmp_path / "color" / f"{name}.png", tmp_path / "depth" / f"{name}.png", 1)
+    with pytest.raises(ReaderError, match="its name has no number"):
+        open_source(tmp_path, OPTIONS)
+
+
 def test_two_images_with_the_same_number_are_refused(tmp_path: Path) -> None:
     write_frame(tmp_path / "color_1.png", tmp_path / "depth_1.png", 1)
     write_frame(tmp_path / "color_01.png", tmp_path / "depth_1.png", 1)

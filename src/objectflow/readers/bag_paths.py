@@ -98,7 +98,10 @@ def _packed(file: Path) -> str | None:
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """A sort key with which `bag_10` follows `bag_9`."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", path.name)]
+    return [
+        (int(part), "") if part.isascii() and part.isdigit() else (0, part)
+        for part in re.split(r"([0-9]+)", path.name)
+    ]
 
 
 def _unpack(source: Path, target: Path) -> None:

@@ -76,6 +76,9 @@ def open_images(
         frames = _pair_by_time(color, depth, (options and options.max_lag) or MAX_TIME_DIFFERENCE)
         if len(frames) >= 2:
             return assemble(folder, frames, options, layout, notes=_left_out(color, depth, frames))
+    if not color and not depth:
+        image = (images.color or images.depth)[0]
+        raise ReaderError(f"{image}: its name has no number: name the images of a frame by the number of the frame")
     alone = sorted(color.keys() ^ depth.keys())
     if alone and len(shared) < 2:
         number = alone[0]
