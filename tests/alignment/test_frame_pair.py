@@ -12,7 +12,7 @@ import analytic
 from objectflow import geometry
 from objectflow.alignment import frame_pair, prepared_frame, registration
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.matching import MatchSettings
+from objectflow.alignment.matching import MatchSettings, feature_matches
 from objectflow.alignment.prepared_frame import GRAY_BLURS, PreparedFrame
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
@@ -219,3 +219,32 @@ def test_matches_are_kept_under_another_noise_model(calls: Counter[str]) -> None
     assert other.at_width(64).curr is small.curr
     assert other.target is not pair.target
     assert other.target.noise == DepthNoise(base=0.01)
+
+
+def test_matches_are_carried_to_another_view_of_the_previous_frame(calls: Counter[str]) -> None:
+    pair = FramePair(SCENE.prev, SCENE.curr)
+    turn, shift = geometry.so3_exp(np.array([0.02, -0.01, 0.03])), np.array([0.01, 0.0, -0.02])
+    seen_T_prev = geometry.make_transform(turn, shift)
+    seen = pair.with_previous(SCENE.prev, seen_T_prev).with_noise(DEPTH_NOISE["stereo"])
+    assert calls["match_frames"] == 0
+    for width in (320, 160):
+        found, given = seen.at_width(width).matches, pair.at_width(width).matches
+        assert len(given.curr) > 100
+        np.testing.assert_array_equal(found.pixels, given.pixels)
+        np.testing.assert_array_equal(found.curr, given.curr)
+        np.testing.assert_allclose(found.prev, given.prev @ turn.T + shift, atol=1e-6)
+    assert calls["match_frames"] == 2  # once for each width
+
+
+def test_features_of_a_downscaled_frame_lie_on_the_pixels_of_the_frame() -> None:
+    scene = analytic.make_scene(4, objects=(2, 2), width=640, height=480)
+    medians = {}
+    for width in (640, 320):
+        found = feature_matches(scene.prev, scene.curr, MatchSettings(feature_width=width))
+        column, row = np.rint(found.pixels).astype(int).T
+        truth = found.curr + scene.scene_flow[row, column]
+        medians[width] = float(np.median(np.linalg.norm(found.prev - truth, axis=1)))
+        assert len(found.curr) > 50
+    # A systematic shift by half a pixel would be 1.6 mm at a metre.
+    assert medians[320] < 2 * medians[640] + 2e-4
+    assert medians[320] < 1e-3

@@ -107,6 +107,7 @@ def test_finished_pairs_are_kept_and_missing_ones_are_estimated(
         ("zero", ["--method", "zero", "--every", "2"], "every = 1, now it is 2"),
         ("zero", ["--method", "zero", "--depth-scale", "500"], "depth_scale"),
         ("vo-sf", ["--method", "vo-sf", "--camera", "static"], "camera = auto"),
+        ("consensus", ["--method", "consensus", "--set", "matching.stride=4"], "matching.stride = 8, now it is 4"),
     ],
 )
 def test_other_settings_are_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import statistics
 import warnings
 from collections.abc import Iterator
@@ -33,6 +34,7 @@ from objectflow.readers import CutOffWarning, FrameSource
 from objectflow.readers.read_ahead import ReadAhead
 from objectflow.runtime.make_pool import check_workers
 from objectflow.runtime.quiet import silence_stderr
+from objectflow.settings import Settings, flat
 from objectflow.storage import files
 from objectflow.storage.files import hash_file
 from objectflow.storage.images import encode_png
@@ -231,6 +233,7 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
             "rigid": self.rigid,
             "weights_sha256": None if weights is None else hash_file(Path(weights)),
             "version": __version__,
+            "settings": _method_settings(estimator),
         }
 
 
@@ -243,13 +246,26 @@ def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
 
     def check(earlier: dict[str, Any]) -> None:
         for name, value in settings.items():
-            if earlier.get(name) != value:
-                raise ResultError(
-                    f"{out} was made with {name} = {earlier.get(name)}, now it is {value}: name another output folder"
-                )
+            if name == "settings" and isinstance(earlier.get(name), dict):
+                before, now = flat(earlier[name]), flat(value)
+                for path in sorted({*before, *now}):
+                    compare(path, before.get(path), now.get(path))
+            else:
+                compare(name, earlier.get(name), value)
+
+    def compare(name: str, before: Any, now: Any) -> None:
+        if before != now:
+            raise ResultError(f"{out} was made with {name} = {before}, now it is {now}: name another output folder")
 
     with locked_folder(out, settings, RUN_FOLDER, check=check):
         yield
+
+
+def _method_settings(estimator: Estimator) -> dict[str, Any]:
+    """The settings of a method on which results depend, as JSON; weights are recorded by their hash."""
+    found = estimator.to_dict() if isinstance(estimator, Settings) else {}
+    kept: dict[str, Any] = json.loads(json.dumps(found, default=str))
+    return {name: value for name, value in kept.items() if name not in ("weights", "device", "explain")}
 
 
 def _name(pair: tuple[int, int]) -> str:

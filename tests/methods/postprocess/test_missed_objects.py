@@ -48,6 +48,24 @@ def largest_mover(objects: Objects) -> ObjectMotion:
     return max((obj for obj in objects if np.linalg.norm(obj.translation) > 0.02), key=lambda obj: obj.pixels)
 
 
+@pytest.mark.parametrize("seed", [53, 56])
+def test_a_moving_object_is_found_where_depth_has_scattered_holes(seed: int) -> None:
+    scene = scene_of(seed)
+    objects = true_objects(scene, score=0.9)
+    lost = largest_mover(objects)
+    rng = np.random.default_rng(0)
+    prev, curr = (
+        dataclasses.replace(frame, depth=np.where(rng.random(frame.depth.shape) < 0.25, np.float32(0), frame.depth))
+        for frame in (scene.prev, scene.curr)
+    )
+    labels = np.where(scene.labels == lost.id, np.int32(0), scene.labels)
+    others = tuple(obj for obj in objects if obj.id != lost.id)
+    after, found = recover_missed_objects(FramePair(prev, curr), labels, others, DEFAULTS)
+    assert len(found) == len(others) + 1
+    true = (scene.labels == lost.id) & curr.valid
+    assert max(float((after == obj.id)[true].mean()) for obj in found) > 0.7
+
+
 @pytest.mark.parametrize("seed", [51, 53, 56])
 def test_a_moving_object_without_a_label_is_found(seed: int) -> None:
     scene = scene_of(seed)

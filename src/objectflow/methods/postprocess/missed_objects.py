@@ -76,7 +76,7 @@ def _unexplained(
     resting = np.isin(small, [obj.id for obj in objects if not obj.moving])
     cost, hidden = likelihood.static_cost()
     changed = resting & (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden
-    core = _opened(changed, likelihood.pair.curr.valid)
+    core = _opened(changed, likelihood.pair)
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)
     large = np.flatnonzero(sizes >= settings.min_object_share * cost.size)
@@ -90,17 +90,19 @@ def _has_changed(likelihood: PairLikelihood, known: BoolMask, settings: MissedOb
     own = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     cost, hidden = likelihood.static_cost()
     changed = (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden & ~own
-    core = _opened(changed, likelihood.pair.curr.valid)
+    core = _opened(changed, likelihood.pair)
     numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
     sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
     return bool((sizes >= settings.min_object_share * cost.size).any())
 
 
-def _opened(changed: BoolMask, valid: BoolMask) -> UInt8Array:
+def _opened(changed: BoolMask, pair: FramePair) -> UInt8Array:
     """Changed pixels without thin and small parts: a 3x3 opening in which scattered holes of the depth are neutral."""
     kernel = np.ones((3, 3), np.uint8)
+    # Standing still compares a pixel with the same pixel of the previous frame, which may lack depth as well.
+    compared = pair.curr.valid & pair.prev.valid
     count = cv2.boxFilter(changed.astype(np.float32), -1, (3, 3), normalize=False)
-    inner = (cv2.erode((changed | ~valid).astype(np.uint8), kernel) > 0) & (count >= _MIN_JUDGED)
+    inner = (cv2.erode((changed | ~compared).astype(np.uint8), kernel) > 0) & (count >= _MIN_JUDGED)
     return np.asarray(cv2.dilate(inner.astype(np.uint8), kernel), dtype=np.uint8)
 
 

@@ -13,7 +13,7 @@ _LEVEL = 30.0
 _LEAST = 1e-30
 """Lower bound of sums of exponentials, which avoids division by 0."""
 _LOWEST = -80.0
-"""Lower bound of logits minus `_LEVEL`, whose exponential is still a normal float32; processors take 20 to 80 times as
+"""Lower bound of logits minus `_LEVEL`, whose exponential is still a normal float32; processors take tens of times as
 long for exponentials that underflow."""
 _SMALLEST = 1e-18
 """Exponentials below this value are set to 0 at inference, as their squares would not be normal float32 numbers."""
@@ -58,7 +58,7 @@ def dual_softmax_mean_of_product(
     sums = []
     for part, rows in zip(torch.split(raised, _ROWS, 1), torch.split(left, _ROWS, 1), strict=True):
         torch.matmul(rows, across, out=part)
-        # Adding two passes within the cache makes the exponential and all later products several times as fast.
+        # The two additional passes within the cache make the exponential and all later products several times as fast.
         torch.threshold_(part.sub_(_LEVEL).clamp_min_(_LOWEST).exp_(), _SMALLEST, 0.0)
         column += part.sum(1)
         sums.append(part.sum(2))

@@ -6,6 +6,7 @@ and keeps the largest value and, for the backward pass, the index of its displac
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import torch
@@ -60,6 +61,7 @@ def weighted_max_pool(weights: Tensor, values: Tensor, reach: int) -> Tensor:
     return _pool(weights, values, reach, None)
 
 
+@cache
 def exclude_from_compilation() -> None:
     """Keep the pool out of the graphs of `torch.compile`; compiling its thousands of small steps takes minutes.
 
