@@ -1,6 +1,12 @@
 """Makes the helpers of this folder (`analytic`) importable from every test, and every property test repeatable."""
 
+import os
+
 from hypothesis import settings
+
+# Parallel tests use one core each: torch and OpenBLAS read this when they are imported, as do the commands under test.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 # The same examples on every run and machine; a slow machine is no failure.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
