@@ -63,13 +63,14 @@ def test_each_pixel_gets_the_most_probable_object_and_objects_without_pixels_are
     expected[8:24, 8:24], expected[8:24, 24:40] = 1, 2
     np.testing.assert_array_equal(labels, expected)
     assert [(one.id, one.pixels, one.moving) for one in objects] == [(1, 256, True), (2, 256, False)]
-    assert objects[0].score == pytest.approx(torch.tensor(3.0).sigmoid().item())
+    first, second, third, _ = output.objectness[0, 0].sigmoid().tolist()
+    assert [one.score for one in objects] == pytest.approx([1 - (1 - first) * (1 - third), second])
+    assert decode(output, (48, 64), duplicate_iou=1)[1][0].score == pytest.approx(first)
     for k, one in enumerate(objects):
         np.testing.assert_allclose(one.prev_T_curr[:3, :3], output.rotation[0, k].numpy(), atol=1e-6)
         np.testing.assert_allclose(one.prev_T_curr[:3, 3], output.translation[0, k].numpy(), atol=1e-6)
         np.testing.assert_allclose(one.center, output.anchors[0, k, :3].numpy(), atol=1e-6)
-    assert decode(output, (48, 64), threshold=0.9)[1][0].pixels == 256
-    assert len(decode(output, (48, 64), threshold=0.9)[1]) == 1
+    assert [one.pixels for one in decode(output, (48, 64), threshold=0.9)[1]] == [256]
     assert decode(output, (48, 64), min_pixels=300)[1] == ()
 
 
@@ -269,7 +270,9 @@ def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_
     made, path = network(), tmp_path / "w.safetensors"
     torch.nn.init.constant_(made.decoder.shape.bias, 20.0)  # large masks
     save_weights(path, made, {"variant": "rigidmatch", "size": [48, 64]})
-    estimator = objectflow.load("rigidmatch", weights=path, camera="static", rigid="solve", threshold=0.0)
+    # The queries of random weights are about equally probable, so which one represents an object is left to rounding.
+    settings = {"camera": "static", "rigid": "solve", "threshold": 0.0, "duplicate_iou": 1.0}
+    estimator = objectflow.load("rigidmatch", weights=path, **settings)
     large = [dataclasses.replace(frame, depth=5 * frame.depth) for frame in (pair.prev, pair.curr)]
     found, scaled = estimator(pair.prev, pair.curr), estimator(*large)
     assert len(found.objects) > 0

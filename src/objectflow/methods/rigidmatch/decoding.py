@@ -10,14 +10,19 @@ from objectflow import geometry
 from objectflow.errors import MethodError
 from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.labels import relabel_present, rigid_flow
+from objectflow.methods.rigidmatch.duplicates import merge_duplicates
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.rigidmatch.inputs import clean_points, grid
 from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, pixel_masks
 from objectflow.typing import Float32Array, LabelImage
 
 OBJECT_MASK_THRESHOLD = 0.1
-"""Minimum object probability, 0..1. It is low because two queries on one object share its probability and because
-overlapping and static objects are removed later; chosen on validation pairs and on real pairs."""
+"""Minimum object probability, 0..1. It is low because overlapping and static objects are removed later; chosen on
+validation pairs and on real pairs."""
+QUERY_THRESHOLD = 0.05
+"""Minimum probability, 0..1, of a query; it is below that of an object, since several queries share one object."""
+DUPLICATE_IOU = 0.5
+"""Minimum intersection over union, 0..1, of the masks of two queries on one object."""
 OVERLAP_THRESHOLD = 0.5
 """Minimum share of its mask, 0..1, that an object keeps where masks overlap; an object with less is removed."""
 MASK_THRESHOLD = 0.5
@@ -65,8 +70,11 @@ def decode(
     threshold: float = OBJECT_MASK_THRESHOLD,
     min_pixels: int = MIN_PIXELS,
     overlap_threshold: float = OVERLAP_THRESHOLD,
+    duplicate_iou: float = DUPLICATE_IOU,
 ) -> tuple[LabelImage, tuple[ObjectMotion, ...]]:
-    """Assign each pixel to its most probable object (as in MaskFormer, Cheng et al. 2021).
+    """Merge queries on one object, then assign each pixel to its most probable object.
+
+    The assignment is that of MaskFormer (Cheng et al. 2021).
 
     Args:
         output: the output for one pair.
@@ -74,6 +82,7 @@ def decode(
         threshold: minimum object probability.
         min_pixels: minimum size of an object in pixels.
         overlap_threshold: minimum share of its mask that an object keeps where masks overlap.
+        duplicate_iou: minimum intersection over union of two masks of one object; 1 merges none.
 
     Returns:
         (H, W) int32 labels, 0 = background, and one object per label.
@@ -86,15 +95,18 @@ def decode(
             f"decoding needs the output for one pair, not for {output.moves.shape[0]}: choose one with select()"
         )
     probability = output.objectness[-1, 0].sigmoid()
-    kept = torch.nonzero(probability > threshold)[:, 0]
-    if not len(kept):
-        return np.zeros(size, np.int32), ()
+    kept = torch.nonzero(probability > min(threshold, QUERY_THRESHOLD))[:, 0]
     logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
-    masks = logits[0, :, : size[0], : size[1]].sigmoid()
-    won, counts, left = resolve_overlaps(masks.flatten(1), probability[kept], min_pixels, overlap_threshold)
+    merged = merge_duplicates(logits[0, :, : size[0], : size[1]], probability[kept], duplicate_iou)
+    sure = torch.nonzero(merged.probability > threshold)[:, 0]
+    if not len(sure):
+        return np.zeros(size, np.int32), ()
+    masks = merged.logits[sure].sigmoid().flatten(1)
+    won, counts, left = resolve_overlaps(masks, merged.probability[sure], min_pixels, overlap_threshold)
     if not len(left):
         return np.zeros(size, np.int32), ()
-    kept = kept[left]
+    sure = sure[left]
+    kept = kept[merged.best[sure]]
     labels = won.reshape(size).to(torch.int32).cpu().numpy()
     R, t, center, moves, score = (
         values.double().cpu().numpy()
@@ -103,7 +115,7 @@ def decode(
             output.translation[0, kept],
             output.anchors[0, kept, :3],
             output.moves[0, kept].sigmoid(),
-            probability[kept],
+            merged.probability[sure],
         )
     )
     transforms = geometry.make_transform(R, t)

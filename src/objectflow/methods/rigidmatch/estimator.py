@@ -26,6 +26,7 @@ from objectflow.methods.postprocess.changes import StepChange
 from objectflow.methods.postprocess.pipeline import check_steps, postprocess
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.rigidmatch.decoding import (
+    DUPLICATE_IOU,
     MIN_PIXELS,
     OBJECT_MASK_THRESHOLD,
     OVERLAP_THRESHOLD,
@@ -63,6 +64,8 @@ class RigidMatchConfig(CompensationConfig):
     nearer and farther scenes are scaled to 0.75 m, and lengths are scaled back."""
     overlap_threshold: float = setting(OVERLAP_THRESHOLD, minimum=0, maximum=1)
     """Minimum share of its mask that an object keeps where masks overlap; an object with less is removed."""
+    duplicate_iou: float = setting(DUPLICATE_IOU, minimum=0, maximum=1)
+    """Minimum intersection over union of the masks of two queries on one object, which are merged; 1 merges none."""
     matching: MatchSettings = MatchSettings(feature_width=320)
     """The network finds large displacements, so features of half the size are enough, in a quarter of the time."""
     explain: bool = False
@@ -133,6 +136,7 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             threshold=self.threshold,
             min_pixels=self.min_pixels,
             overlap_threshold=self.overlap_threshold,
+            duplicate_iou=self.duplicate_iou,
         )
         # 2. The pixels of the frame.
         rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
