@@ -6,7 +6,7 @@ import itertools
 import json
 import statistics
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -21,7 +21,14 @@ from tyro.conf import Positional
 from objectflow import __version__
 from objectflow.cli.arguments import MethodArguments, ResultArguments, SourceArguments, ViewArguments, option
 from objectflow.cli.findings import warn_of
-from objectflow.cli.output import OUTPUT_ROOT, check_not_below_a_file, link_latest, print_written, write_result
+from objectflow.cli.output import (
+    OUTPUT_ROOT,
+    Export,
+    check_not_below_a_file,
+    link_latest,
+    print_written,
+    write_result,
+)
 from objectflow.cli.progress import show_progress
 from objectflow.cli.reconstruct import write_run_models
 from objectflow.cli.run_estimates import estimate_pairs, read_pairs
@@ -33,6 +40,7 @@ from objectflow.motion import SceneMotion
 from objectflow.readers import CutOffWarning, FrameSource
 from objectflow.readers.read_ahead import ReadAhead
 from objectflow.runtime.make_pool import check_workers
+from objectflow.runtime.ordered_thread import OrderedThread
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.settings import Settings, flat
 from objectflow.storage import files
@@ -43,9 +51,11 @@ from objectflow.tracking.sequence_estimator import SequenceStep
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.tracking.volume_meshing import check_extra
 from objectflow.view.known import draw_known
+from objectflow.view.overlay import TrackMarks
 from objectflow.view.run_frames import RunFrames
 from objectflow.view.run_tracks import RunTracks
 from objectflow.view.video import write_video
+from objectflow.view.viewer_frames import ViewerFrame
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
@@ -156,6 +166,7 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 with (
                     show_progress("pairs", count if self.limit is None else min(count, self.limit)) as advance,
                     closing(estimate_pairs(read, estimator, self.workers, self.ray)) as estimates,
+                    OrderedThread() as writer,
                 ):
                     for prev_index, curr_index, prev, curr, motion in estimates:
                         result = out / _name((prev_index, curr_index))
@@ -168,19 +179,11 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                                 warn_of(prev, curr)
                             is_first = False
                             step, marks = tracks.add(prev_index, curr_index, curr, motion)
-                            with files.new_folder(result) as folder:
-                                write_result(
-                                    folder,
-                                    curr,
-                                    step.motion,
-                                    tracks=marks,
-                                    pictures=self.pictures,
-                                    exports=self.export,
-                                )
-                                (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
+                            # Files and pictures are made in another thread while the next pair is estimated.
+                            writer.submit(partial(_write_step, result, step, marks, self.pictures, self.export))
                         finished.append((prev_index, curr_index))
                         advance()
-                        viewer.show(partial(shown.read, result, prev_index, curr_index))
+                        viewer.show(partial(_when_written, writer, shown.read, result, prev_index, curr_index))
                 write_tracks(out, tracks.sequence.tracker)
                 followed = len(tracks.sequence.tracks)
                 if self.pictures and step is not None:
@@ -235,6 +238,23 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
             "version": __version__,
             "settings": _method_settings(estimator),
         }
+
+
+def _write_step(
+    result: Path, step: SequenceStep, marks: TrackMarks, pictures: bool, exports: Collection[Export]
+) -> None:
+    """Write the folder of a pair, whole or not at all."""
+    with files.new_folder(result) as folder:
+        write_result(folder, step.curr, step.motion, tracks=marks, pictures=pictures, exports=exports)
+        (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
+
+
+def _when_written(
+    writer: OrderedThread, read: Callable[[Path, int, int], Iterable[ViewerFrame]], result: Path, prev: int, curr: int
+) -> Iterable[ViewerFrame]:
+    """The viewer's frames of a pair, which are read from its folder."""
+    writer.finish()
+    return read(result, prev, curr)
 
 
 @contextmanager

@@ -29,6 +29,14 @@ def wheel(right: NDArray[Any], down: NDArray[Any]) -> UInt8Array:
     Returns:
         (..., 3) uint8 RGB.
     """
+    moving = (right != 0) | (down != 0)
+    image = np.full((*moving.shape, 3), 255, np.uint8)
+    image[moving] = _hue(right[moving], down[moving])  # most of a scene stands still
+    return image
+
+
+def _hue(right: NDArray[Any], down: NDArray[Any]) -> UInt8Array:
+    """`wheel` of (N,) displacements."""
     length = np.clip(np.hypot(right, down), 0, 1)[..., None]
     angle = np.arctan2(down, right)
     # Cosines with phases 120 degrees apart make hues without the corners of HSV, so that equal angles look alike.
@@ -40,6 +48,10 @@ def wheel(right: NDArray[Any], down: NDArray[Any]) -> UInt8Array:
 
 def diverging(value: NDArray[Any]) -> UInt8Array:
     """Colour of a signed value: red at -1 and below, white at 0, blue at 1 and beyond; (...) -> (..., 3) uint8 RGB."""
-    strength = np.clip(np.abs(value), 0, 1)[..., None] ** 0.8
-    end = np.where((value < 0)[..., None], _RED, _BLUE)
-    return np.asarray(np.rint(255 + (end - 255) * strength), dtype=np.uint8)
+    moving = np.asarray(value != 0)
+    image = np.full((*moving.shape, 3), 255, np.uint8)
+    moved = value[moving]
+    strength = np.clip(np.abs(moved), 0, 1)[..., None] ** 0.8
+    end = np.where((moved < 0)[..., None], _RED, _BLUE)
+    image[moving] = np.rint(255 + (end - 255) * strength)
+    return image

@@ -41,7 +41,8 @@ def draw_flow(curr: RgbdFrame, motion: SceneMotion) -> UInt8Array:
     """
     color, labels, flow, points = _sampled(curr, motion)
     moved = -own_flow(flow, points, labels, motion.objects, motion.camera_motion)
-    known = np.asarray(np.isfinite(moved).all(axis=-1), dtype=np.bool_)
+    finite = np.isfinite(moved)
+    known = finite[..., 0] & finite[..., 1] & finite[..., 2]
     moved = np.where(known[..., None], moved, 0)
     full = flow_range(moved[known])
     panels = [
@@ -97,7 +98,8 @@ def _sampled(curr: RgbdFrame, motion: SceneMotion) -> tuple[UInt8Array, LabelIma
 
 def flow_range(moved: NDArray[np.floating[Any]]) -> float:
     """The length in metres at full colour: a round number above the 98th percentile of (N, 3) displacements."""
-    lengths = np.linalg.norm(moved, axis=-1)
+    x, y, z = (moved[..., k] for k in range(3))
+    lengths = np.sqrt(x * x + y * y + z * z)
     # Static points are excluded, since objects may cover only a small part of the image.
     lengths = lengths[lengths > SMALLEST_RANGE / 4]
     largest = float(np.percentile(lengths, 98)) if len(lengths) else 0.0
