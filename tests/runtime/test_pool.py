@@ -38,6 +38,22 @@ def test_results_come_in_the_order_of_the_jobs(workers: int) -> None:
         pool.close()
 
 
+def make_look() -> Callable[[str], str | None]:
+    return os.environ.get
+
+
+def test_linear_algebra_of_workers_shares_the_cores_unless_the_user_chose(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(6)), raising=False)
+    pool = make_pool(make_look, 2)
+    try:
+        assert list(pool.run(["OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"])) == ["3", "7"]
+    finally:
+        pool.close()
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
 def test_less_than_one_worker_is_refused() -> None:
     with pytest.raises(MethodError, match="--workers must be at least 1, not 0"):
         make_pool(make_square, 0)

@@ -1,7 +1,14 @@
 """Cameras, rigid transforms and projection in NumPy; `torch_se3` and `torch_pinhole` are the torch forms."""
 
 from objectflow.geometry.camera import Camera
-from objectflow.geometry.pinhole import back_project, back_project_pixels, flow_from_motions, pixel_grid, project
+from objectflow.geometry.pinhole import (
+    back_project,
+    back_project_pixels,
+    flow_from_motions,
+    pixel_grid,
+    pixel_rays,
+    project,
+)
 from objectflow.geometry.se3 import (
     MAX_DISTANCE,
     hat,
@@ -33,6 +40,7 @@ __all__ = [
     "make_transform",
     "nearest_rotation",
     "pixel_grid",
+    "pixel_rays",
     "project",
     "quaternion_from_matrix",
     "rotation_angle",

@@ -38,11 +38,13 @@ def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     ones = np.ones(5, np.float32)
     slope_u = cv2.sepFilter2D(inverse, -1, kernel / 50, ones)
     slope_v = cv2.sepFilter2D(inverse, -1, ones, kernel / 50)
-    rays = geometry.pixel_grid(camera)
+    x, y = geometry.pixel_rays(camera)
     # 1/z = a x + b y + c on rays (x, y, 1) describes the plane with normal (a, b, c).
     a, b = slope_u * camera.fx, slope_v * camera.fy
-    c = cv2.boxFilter(inverse, -1, size) - a * rays[..., 0] - b * rays[..., 1]
-    normals = -np.stack([a, b, c], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12
+    c = cv2.boxFilter(inverse, -1, size) - a * x - b * y[:, None]
+    length = np.sqrt(a * a + b * b + c * c) + 1e-12
     smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window exceeds the image here
-    return np.where(smooth[..., None], normals, np.float32(np.nan)).astype(np.float32)
+    normals = np.empty((*depth.shape, 3), np.float32)
+    for axis, component in enumerate((a, b, c)):
+        normals[..., axis] = np.where(smooth, -component / length, np.float32(np.nan))
+    return normals

@@ -11,17 +11,25 @@ from objectflow.geometry.camera import Camera
 from objectflow.typing import Float32Array, Float64Array, LabelImage
 
 
-def pixel_grid(camera: Camera) -> Float32Array:
-    """(H, W, 2) float32: `((u - cx) / fx, (v - cy) / fy)` of every pixel centre, the ray at z = 1."""
+def pixel_rays(camera: Camera) -> tuple[Float32Array, Float32Array]:
+    """(W,) `(u - cx) / fx` of every column and (H,) `(v - cy) / fy` of every row, float32."""
     x = (np.arange(camera.width, dtype=np.float32) - np.float32(camera.cx)) / np.float32(camera.fx)
     y = (np.arange(camera.height, dtype=np.float32) - np.float32(camera.cy)) / np.float32(camera.fy)
-    return np.stack(np.meshgrid(x, y), axis=-1)
+    return x, y
+
+
+def pixel_grid(camera: Camera) -> Float32Array:
+    """(H, W, 2) float32: `((u - cx) / fx, (v - cy) / fy)` of every pixel centre, the ray at z = 1."""
+    return np.stack(np.meshgrid(*pixel_rays(camera)), axis=-1)
 
 
 def back_project(depth: Float32Array, camera: Camera) -> Float32Array:
     """Planar depth (H, W) in metres -> points (H, W, 3) float32 in the camera frame; NaN where depth is 0."""
     z = np.where(depth > 0, depth, np.float32(np.nan)).astype(np.float32)
-    return np.concatenate([pixel_grid(camera) * z[..., None], z[..., None]], axis=-1)
+    x, y = pixel_rays(camera)
+    points = np.empty((*z.shape, 3), np.float32)
+    points[..., 0], points[..., 1], points[..., 2] = x * z, y[:, None] * z, z
+    return points
 
 
 def back_project_pixels(pixels: NDArray[Any], depth: NDArray[Any] | np.floating[Any], camera: Camera) -> NDArray[Any]:

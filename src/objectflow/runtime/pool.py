@@ -13,6 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from objectflow.errors import DatasetError, ObjectflowError
 from objectflow.runtime.parent import end_with_parent
+from objectflow.runtime.threads import shared_environment
 
 MAX_AHEAD = 4
 """Maximum number of jobs per worker that are started ahead of the next result; bounds memory."""
@@ -74,7 +75,8 @@ class Processes(Generic[Job, Result]):
         for _ in range(workers):
             ours, theirs = context.Pipe()
             process = context.Process(target=_work, args=(theirs, factory, os.getpid()), daemon=True)
-            process.start()
+            with shared_environment(workers):
+                process.start()
             theirs.close()
             self._processes[ours] = process
 

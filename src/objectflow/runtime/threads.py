@@ -3,6 +3,30 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Variables of the environment that the libraries of linear algebra read when they are loaded."""
+
+
+@contextmanager
+def shared_environment(workers: int) -> Iterator[None]:
+    """Start processes in this block, whose linear algebra then uses their share of the cores.
+
+    The libraries below NumPy and SciPy start as many threads as the machine has cores, and their threads wait for work
+    by spinning. What the user has set stays.
+
+    Args:
+        workers: number of processes that compute side by side on this machine.
+    """
+    added = [name for name in THREAD_VARIABLES if name not in os.environ]
+    os.environ.update(dict.fromkeys(added, str(_share(workers))))
+    try:
+        yield
+    finally:
+        for name in added:
+            os.environ.pop(name, None)
 
 
 def share_cores(workers: int | None) -> None:
@@ -15,7 +39,11 @@ def share_cores(workers: int | None) -> None:
     import cv2
     import torch
 
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    count = 1 if workers is None else max(1, cores // workers)
+    count = 1 if workers is None else _share(workers)
     cv2.setNumThreads(count)
     torch.set_num_threads(count)
+
+
+def _share(workers: int) -> int:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // workers)

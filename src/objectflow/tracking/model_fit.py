@@ -173,10 +173,11 @@ class FrameView:
 
 def chroma(color: Float64Array | np.ndarray) -> Float32Array:
     """The two colour-opponent channels of CIELAB, (..., 2) float32 around 0, of RGB colours (..., 3) in 0..255."""
-    rgb = np.clip(np.rint(color), 0, 255).astype(np.uint8)
+    rgb = color if color.dtype == np.uint8 else np.clip(np.rint(color), 0, 255).astype(np.uint8)
     if not rgb.size:
         return np.zeros((*rgb.shape[:-1], 2), np.float32)
-    lab = cv2.cvtColor(rgb.reshape(-1, 1, 3), cv2.COLOR_RGB2LAB).reshape(*rgb.shape)
+    # One row of pixels: OpenCV is slow on many short ones.
+    lab = cv2.cvtColor(rgb.reshape(1, -1, 3), cv2.COLOR_RGB2LAB).reshape(*rgb.shape)
     return np.asarray(lab[..., 1:].astype(np.float32) - 128)
 
 

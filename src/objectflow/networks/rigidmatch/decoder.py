@@ -27,7 +27,7 @@ class Objects(NamedTuple):
         queries: (B, Q, C) features.
         anchors: (B, Q, 6) metres: [X, X + T].
         objectness: (L, B, Q) logits.
-        masks: (L, B, Q, H, W) logits.
+        masks: (L, B, Q, H, W) logits; (1, B, Q, H, W) where only those of the last layer were wanted.
         detail_queries: (B, Q, D), for `pixel_masks`.
     """
 
@@ -62,8 +62,14 @@ class SetDecoder(nn.Module):
         self.pixel_embedding = nn.Conv2d(fine, fine, 1)
         self.detail_embedding = nn.Linear(channels, settings.detail_channels) if settings.detail_channels else None
 
-    def forward(self, dense: DensePredictions) -> Objects:
-        """Find the objects of a dense."""
+    def forward(self, dense: DensePredictions, *, every_layer: bool = True) -> Objects:
+        """Find the objects of dense predictions.
+
+        Args:
+            dense: of the current frame.
+            every_layer: return the masks of every layer, which losses need; otherwise those of the last layer alone,
+                and earlier ones are computed on the coarse grid only.
+        """
         size = dense.votes.shape[-2:]
         with torch.autocast(dense.votes.device.type, enabled=False):
             votes = dense.votes.float().flatten(2).transpose(-2, -1)
@@ -80,16 +86,21 @@ class SetDecoder(nn.Module):
             tokens = self.token_norm(dense.tokens.flatten(2).transpose(-2, -1))
             # A token's position: its vote for the object's centre in both frames.
             keys = tokens + self.token_position(coarse_flat.detach())
+            coarse_embeddings = embeddings.reshape(*embeddings.shape[:2], *size)[..., ::2, ::2].flatten(2)
         objectness, masks = [], []
         for index_layer in range(len(self.across) + 1):
             normed = self.norm(queries)
             objectness.append(self.objectness(normed)[..., 0].float())
-            mask = self._mask(normed, anchors, votes, embeddings).reshape(*queries.shape[:2], *size)
-            masks.append(mask)
-            if index_layer == len(self.across):
+            is_last = index_layer == len(self.across)
+            if every_layer or is_last:
+                masks.append(self._mask(normed, anchors, votes, embeddings).reshape(*queries.shape[:2], *size))
+            if is_last:
                 break
             # Masked attention (Cheng et al. 2022), made soft: little weight outside of the current mask.
-            coarse_mask = mask[..., ::2, ::2].flatten(2).detach()
+            if every_layer:
+                coarse_mask = masks[-1][..., ::2, ::2].flatten(2).detach()
+            else:
+                coarse_mask = self._mask(normed, anchors, coarse_flat, coarse_embeddings)
             bias = F.logsigmoid(coarse_mask).clamp_min(-8.0)[:, None]
             position = self.position(anchors.detach())
             queries = self.across[index_layer](queries, position, keys, tokens, bias)

@@ -110,7 +110,8 @@ class RigidMatch(nn.Module):
         Args:
             prev_color, curr_color: (B, 3, H, W) RGB in 0..1.
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
-            table: return the table of all pairs' scores, which losses need; without it there is no gradient.
+            table: return the table of all pairs' scores and the masks of every layer, which losses need; without it
+                there is no gradient.
 
         Returns:
             All predictions, on the grids of images padded to a multiple of the coarsest stride.
@@ -185,7 +186,7 @@ class RigidMatch(nn.Module):
         current = [one.chunk(2)[0] for one in (stem, fine, maps)]
         dense = self.dense_head(*current, matched, refined, (curr, curr_fine))
         # 5. Objects.
-        objects = self.decoder(dense)
+        objects = self.decoder(dense, every_layer=table)
         shift = (objects.anchors[..., 3:] - objects.anchors[..., :3]).norm(dim=-1, keepdim=True)
         moves = self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float()
         return Features(curr, curr_fine, matched, refined, dense, objects, moves)

@@ -31,7 +31,7 @@ class RigidMatchOutput(NamedTuple):
         votes: (B, 6, H, W) metres: [X, X + T], the object's centre in the current and in the previous frame.
         anchors: (B, Q, 6) metres: mean vote of each query's object, [X, X + T].
         objectness: (L, B, Q) logits of "an object", after every decoder layer and before the first.
-        masks: (L, B, Q, H, W) logits likewise.
+        masks: (L, B, Q, H, W) logits likewise; (1, B, Q, H, W) of the last layer where no table was wanted.
         moves: (B, Q) logits of "it moves".
         rotation: (B, Q, 3, 3), `prev_T_curr` of each query's object.
         translation: (B, Q, 3) metres: P_prev = rotation P_curr + translation.
