@@ -1,7 +1,7 @@
 """CPU seconds of the `rigidmatch` network per pair on different engines: `python benchmarks/engines.py`.
 
-The engines are torch in float32, torch with bfloat16 autocast on processors that have instructions for it, ONNX Runtime
-in float32, and ONNX Runtime with its convolutions in int8, calibrated on other pairs. All of them run what
+The engines are torch in float32, torch with bfloat16 autocast on processors that have instructions for it, ONNX
+Runtime in float32, and ONNX Runtime with its convolutions in int8, calibrated on other pairs. All of them run what
 `objectflow export` writes, the network up to the solve; `torch` is the form that estimates use, which does not make
 the table of all pairs' scores. Engines take turns on the pairs, so that all of them see the same load.
 
@@ -31,7 +31,6 @@ import objectflow
 from objectflow.methods.network_io import scaled_size, to_tensors
 from objectflow.networks.export import INPUTS, export_onnx
 from objectflow.networks.rigidmatch import RigidMatch
-from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 
 Tensors = dict[str, torch.Tensor]
 Engine = Callable[[Tensors], dict[str, NDArray[Any]]]

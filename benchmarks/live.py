@@ -39,6 +39,8 @@ from objectflow.typing import Int64Array, UInt8Array
 
 RATE = 30.0
 TRUTH = "truth"
+REFERENCE = "dense-flow"
+"""Method to whose CPU time the others are compared, where it is among them."""
 CIRCLE_RADIUS = 0.05
 """Radius of the plates' circular paths, metres; the speed is 3 cm in 0.3 s."""
 PERIOD = 3.0
@@ -58,7 +60,7 @@ T = TypeVar("T")
 class Settings:
     """Tracks objects in a replayed recording."""
 
-    methods: tuple[str, ...] = ("dense-flow", "consensus")
+    methods: tuple[str, ...] = ("dense-flow", "consensus", "rigidmatch")
     """Methods as in `objectflow evaluate`, or `truth`."""
     widths: tuple[int, ...] = (320, 640)
     """Widths of the images, pixels; heights are three quarters of the widths."""
@@ -201,6 +203,7 @@ def main(settings: Settings) -> None:
             "median latency s",
             "95% s",
             "CPU s per estimate",
+            f"times {REFERENCE}",
             "per second",
             "dropped frames",
             "tracks",
@@ -208,6 +211,7 @@ def main(settings: Settings) -> None:
     table.add_column("method")
     for head in ("size", *heads):
         table.add_column(head, justify="right")
+    reference: dict[int, float] = {}
     for method in settings.methods:
         for width in settings.widths:
             cells = [method, f"{width}x{width * 3 // 4}"]
@@ -223,7 +227,11 @@ def main(settings: Settings) -> None:
                 rate = f"{len(latencies) / settings.seconds:.2f}"
                 share = f"{dropped} of {round(settings.seconds * RATE)}"
                 cells += [str(len(latencies)), f"{statistics.median(latencies):.2f}", f"{high:.2f}"]
-                cells += [f"{cpu / len(latencies):.2f}", rate, share, str(tracks)]
+                each = cpu / len(latencies)
+                if method == REFERENCE:
+                    reference[width] = each
+                ratio = f"{each / reference[width]:.1f}" if width in reference else ""
+                cells += [f"{each:.2f}", ratio, rate, share, str(tracks)]
             table.add_row(*cells)
     Console(width=120).print(table)
 

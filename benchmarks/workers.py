@@ -1,11 +1,11 @@
 """Seconds of `objectflow run` with one and with two workers: `python benchmarks/workers.py`.
 
-The recording is the one of `live.py`, written as a folder of numbered frames. Each run is a process of its own with one
-thread per process. The table has the wall time and the CPU time of the main process and of its workers. Wall times
-mean something on a machine with a free core for each process alone. The CPU times are less dependent on the load of
-the machine, so the last lines compute from them what a quiet machine reaches: start-up is what a run of the fewest
-pairs takes, and the rest is divided by the pairs. With W workers, a pair takes the larger of the main process's share
-and a worker's time divided by W; on two cores it also takes at least half of both together.
+The recording is the one of `live.py`, written as a folder of numbered frames. Each run is a process of its own, with
+one thread per process. The table has the wall time and the CPU time of the main process and of its workers. Wall times
+are valid on a machine with a free core for each process. CPU times depend less on the load of the machine, so the last
+lines compute from them what a quiet machine reaches: a run of the fewest pairs stands for start-up, and the rest is
+divided by the pairs. With W workers, a pair takes the larger of the main process's time and a worker's time divided by
+W; on two cores it also takes at least half of both together.
 """
 
 from __future__ import annotations

@@ -112,7 +112,8 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
     """Also write models, the shapes of the objects and of the background (extra `models`)."""
 
     workers: int = 1
-    """Number of pairs that are estimated side by side; their objects are then linked in order."""
+    """Number of pairs that are estimated side by side, for recordings of twenty pairs or more; their objects are then
+    linked in order."""
 
     ray: Annotated[str | None, option("ADDRESS", "this machine")] = None
     """Address of a Ray cluster ("auto", "host:6379"), or "local"; --workers is then the number of actors."""
