@@ -160,6 +160,33 @@ def test_a_sequence_without_a_readable_pair_leaves_no_files(
     assert names(tmp_path) == {"sequence"}
 
 
+def test_a_pair_that_cannot_be_written_ends_the_run_with_one_line(
+    sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from objectflow.cli import run as module
+
+    write = module.write_result
+
+    def fails(folder: Path, *arguments: Any, **options: Any) -> None:
+        write(folder, *arguments, **options)
+        if len(list(folder.parent.glob("pair_*"))) == 1:  # the second pair
+            raise OSError(28, "No space left on device")
+
+    out = tmp_path / "out"
+    command = ["run", str(sequence), "--method", "zero", "--out", str(out)]
+    monkeypatch.setattr(module, "write_result", fails)
+    assert main(command) != 0
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "cannot write" in error
+    assert "No space left on device" in error
+    # Later pairs are not written either, and nothing is left of the second one.
+    assert names(out) == {"settings.json", "pair_000000_000001"}
+    monkeypatch.setattr(module, "write_result", write)
+    assert main(command) == 0
+    assert len(names(out)) == 9
+
+
 @pytest.mark.parametrize("bad", [0, 1, 2, 4])
 def test_a_bad_frame_is_left_out_and_named(
     sequence: Path, tmp_path: Path, bad: int, capsys: pytest.CaptureFixture[str]
