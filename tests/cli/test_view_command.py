@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterable
 from importlib import resources
 from pathlib import Path
@@ -77,17 +78,22 @@ def test_a_moved_source_is_reported_and_can_be_given(
     assert frames_of(saved) == [0, 1, 2]
 
 
-def test_a_result_needs_its_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, saved = tmp_path / "out", tmp_path / "a.rrd"
-    command = ["estimate", str(PAIR), "--method", "zero", "--out", str(out), "--save-view", str(saved)]
+def test_a_result_finds_its_frames_unless_they_were_moved(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pair, out, saved = tmp_path / "pair", tmp_path / "out", tmp_path / "a.rrd"
+    shutil.copytree(PAIR, pair)
+    command = ["estimate", str(pair), "--method", "zero", "--out", str(out), "--save-view", str(saved)]
     assert main(command) == 0
     assert frames_of(saved) == [0, 1]
+    saved.unlink()
+    assert main(["view", str(out), "--save", str(saved)]) == 0
+    assert frames_of(saved) == [0, 1]
+    pair.rename(tmp_path / "moved")
     capsys.readouterr()
     assert main(["view", str(out), "--save", str(saved)]) == 2
     error = capsys.readouterr().err
     assert "--frames" in error
     assert error.count("\n") == 1
-    assert main(["view", str(out), "--frames", str(PAIR), "--save", str(saved)]) == 0
+    assert main(["view", str(out), "--frames", str(tmp_path / "moved"), "--save", str(saved)]) == 0
     assert frames_of(saved) == [0, 1]
 
 
@@ -119,7 +125,8 @@ def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 DEMO_ENTITIES = {
     *(f"/world/camera{part}" for part in ("", "/color", "/depth", "/labels")),
-    *("/world/points/by_object", "/world/points/by_flow", "/world/motion", "/world/captions"),
+    *("/world/points/by_object", "/world/points/by_flow", "/world/points/by_color/objects"),
+    *("/world/points/by_color/rest", "/world/motion", "/world/captions", "/world/trails"),
     *(f"/world/objects/00{number}" for number in (1, 2, 3)),
 }
 """Entities of a recording of the demo pair, in which three objects move."""

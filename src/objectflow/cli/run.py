@@ -6,8 +6,8 @@ import itertools
 import json
 import statistics
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Collection, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,8 +32,9 @@ from objectflow.cli.output import (
 from objectflow.cli.progress import show_progress
 from objectflow.cli.reconstruct import write_run_models
 from objectflow.cli.run_estimates import estimate_pairs, read_pairs
-from objectflow.cli.run_folder import RUN_FOLDER
+from objectflow.cli.run_folder import KNOWN, NOTES, RUN_FOLDER
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
+from objectflow.cli.run_report import REPORT, write_report_page
 from objectflow.errors import FrameError, ReaderError, ResultError
 from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
@@ -52,10 +53,8 @@ from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tra
 from objectflow.tracking.volume_meshing import check_extra
 from objectflow.view.known import draw_known
 from objectflow.view.overlay import TrackMarks
-from objectflow.view.run_frames import RunFrames
 from objectflow.view.run_tracks import RunTracks
 from objectflow.view.video import write_video
-from objectflow.view.viewer_frames import ViewerFrame
 
 EXAMPLES = """\
   objectflow run rgbd_dataset_freiburg1_desk --camera-file fr1
@@ -64,20 +63,16 @@ EXAMPLES = """\
   objectflow run table.bag --dt 0.5
   objectflow run table.bag --dt 0.5 --view
   objectflow run table.bag --dt 0.5 --video
-  objectflow run table.bag --dt 0.5 --models
+  objectflow run table.bag --dt 0.5 --models --report
   objectflow run table.mcap --color-topic /camera/color/image_raw --depth-topic /camera/depth_registered/image
 """
 
 SUMMARY = "summary.csv"
 VIDEO = "overlay.mp4"
-KNOWN = "known.png"
-"""File of a pair's known objects: a 16-bit image of track ids, 0 beside them."""
 SEGMENTATION = "segmentation.png"
 """Picture of all known objects in the last frame."""
 MAX_TABLE_ROWS = 40
 """Maximum number of rows that are printed; a longer table shows only pairs with motion."""
-NOTES = "notes.txt"
-"""File of the notes on the source and of the frames that were left out; absent if there are none."""
 MAX_NEW_WORLDS = 5
 """Maximum number of printed frames at which a new world starts."""
 MAX_LEFT_OUT_LINES = 5
@@ -110,6 +105,9 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
 
     models: bool = False
     """Also write models, the shapes of the objects and of the background (extra `models`)."""
+
+    report: bool = False
+    """Also write report.html, a page with each object's frames, trajectory and model."""
 
     workers: int = 1
     """Number of pairs that are estimated side by side, for recordings of twenty pairs or more; their objects are then
@@ -160,7 +158,6 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 skipped = 0
                 step: SequenceStep | None = None
                 is_first = True
-                shown = RunFrames(sequence)
                 tracks = RunTracks(sequence, parts, estimator)
                 numbers = itertools.chain([first], todo)
                 read = read_pairs(numbers, pairs, lambda prev, curr: (out / _name((prev, curr))).is_dir())
@@ -184,7 +181,7 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                             writer.submit(partial(_write_step, result, step, marks, self.pictures, self.export))
                         finished.append((prev_index, curr_index))
                         advance()
-                        viewer.show(partial(_when_written, writer, shown.read, result, prev_index, curr_index))
+                        viewer.show(partial(tracks.frames, step, prev_index, curr_index))
                 write_tracks(out, tracks.sequence.tracker)
                 followed = len(tracks.sequence.tracks)
                 if self.pictures and step is not None:
@@ -198,7 +195,9 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                     print(f"{followed} object{'s' * (followed != 1)} followed: {TRACKS}, {TRAJECTORIES}")
                 if self.models:
                     write_run_models(out, sequence)
-        print_written(out)
+                if self.report:
+                    write_report_page(out, sequence)
+        print_written(out, f", report {out / REPORT}" if self.report else "")
 
     def _select(self, sequence: FrameSource) -> list[list[int]]:
         """The selected frames of each part of the sequence."""
@@ -250,15 +249,6 @@ def _write_step(
         (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
 
 
-def _when_written(
-    writer: OrderedThread, read: Callable[[Path, int, int], Iterable[ViewerFrame]], result: Path, prev: int, curr: int
-) -> Iterable[ViewerFrame]:
-    """The viewer's frames of a pair, which are read from its folder."""
-    writer.finish()
-    return read(result, prev, curr)
-
-
-@contextmanager
 def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
     """Create the output folder, or continue an earlier run with the same settings; see `locked_folder`."""
     check_not_below_a_file(out)

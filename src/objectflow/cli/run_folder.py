@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,15 @@ import numpy as np
 from objectflow.errors import ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
+from objectflow.storage.image_files import read_image
 from objectflow.storage.locked_folder import SETTINGS, FolderKind
+from objectflow.tracking.model_files import INDEX, MODELS
 from objectflow.tracking.reconstruction import SequenceView
 from objectflow.tracking.track import Track
 from objectflow.tracking.tracker import next_camera_pose
 from objectflow.tracking.trajectory_files import TRACKS
+from objectflow.typing import LabelImage
+from objectflow.view.run_page.contents import model_poses
 
 RUN_FOLDER = FolderKind(
     error=ResultError,
@@ -26,6 +31,10 @@ RUN_FOLDER = FolderKind(
     busy="another run is writing there",
     target="output folder",
 )
+KNOWN = "known.png"
+"""File of a pair's known objects: a 16-bit image of track ids, 0 beside them."""
+NOTES = "notes.txt"
+"""File of the notes on the source and of the frames that were left out; absent if there are none."""
 PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
 
 
@@ -121,6 +130,59 @@ def run_views(source: FrameSource, pairs: list[tuple[int, int, Path]]) -> Iterat
         if frame.depth.shape != motion.labels.shape:
             raise ResultError(f"{folder}: its labels do not fit the frames of the source: the source has changed")
         yield SequenceView(curr, part, float(curr) if time is None else time, frame, motion.labels, world_T_camera)
+
+
+def read_known(pair: Path) -> LabelImage:
+    """(H, W) int32 track ids of the known objects in the current frame of a pair.
+
+    Raises:
+        ReaderError: the image is missing or damaged.
+    """
+    return np.asarray(read_image(pair / KNOWN), dtype=np.int32)
+
+
+def read_model_index(run: Path) -> dict[str, Any]:
+    """The content of `models/index.json`; empty for a run without models.
+
+    Raises:
+        ResultError: the file is damaged.
+    """
+    path = run / MODELS / INDEX
+    return _read_table(path) if path.is_file() else {}
+
+
+def read_settings(run: Path) -> dict[str, Any]:
+    """The content of `settings.json`.
+
+    Raises:
+        ResultError: the file is missing or damaged.
+    """
+    return _read_table(run / SETTINGS)
+
+
+def model_files(run: Path) -> dict[int, Path]:
+    """The binary glTF file of each object with a model, by track id.
+
+    Raises:
+        ResultError: the index of the models is damaged.
+    """
+    return {int(entry["id"]): run / MODELS / entry["files"][1] for entry in read_model_index(run).get("objects", ())}
+
+
+def registered_track(track: Track, index: dict[str, Any]) -> Track:
+    """A track with the registered poses of its model, if `models/index.json` has one."""
+    entry = next((entry for entry in index.get("objects", ()) if entry["id"] == track.id), None)
+    return replace(track, world_T_object=model_poses(track, entry))
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ResultError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(content, dict):
+        raise ResultError(f"{path}: not a file of a run")
+    return content
 
 
 def _options(settings: dict[str, Any]) -> CameraOptions:

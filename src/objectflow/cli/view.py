@@ -13,13 +13,23 @@ from typing import Annotated
 from tyro.conf import Positional
 
 from objectflow.cli.arguments import CameraArguments, open_location, open_two, option
-from objectflow.cli.run_folder import PAIR_NAME, open_run_source, run_pairs
+from objectflow.cli.run_folder import (
+    PAIR_NAME,
+    model_files,
+    open_run_source,
+    read_known,
+    read_model_index,
+    read_tracks,
+    registered_track,
+    run_pairs,
+)
 from objectflow.errors import DatasetError, ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSource
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage.locked_folder import SETTINGS
-from objectflow.view.run_frames import RunFrames
+from objectflow.tracking.trajectory_files import TRACKS
+from objectflow.view.run_frames import RunFrames, UnfinishedRunFrames
 from objectflow.view.viewer import open_viewer
 from objectflow.view.viewer_frames import ViewerFrame, pair_frames
 
@@ -62,7 +72,8 @@ class View(CameraArguments):
         with silence_stderr():
             make = self._find()
         window = self.save is None and not self.web
-        with open_viewer(self.path.resolve().name, window=window, save=self.save, web=self.web) as viewer:
+        name, models = self.path.resolve().name, bool(model_files(self.path))
+        with open_viewer(name, window=window, save=self.save, web=self.web, models=models) as viewer:
             viewer.show(make)
             address = getattr(viewer, "address", None)
             if address is not None:
@@ -84,11 +95,10 @@ class View(CameraArguments):
         pair = PAIR_NAME.fullmatch(path.resolve().name)
         if (path / "objects.json").is_file():
             if pair and self.frames is None and (path.resolve().parent / SETTINGS).is_file():
-                source = self._source(path.resolve().parent)
-                return partial(RunFrames(source).read, path, int(pair[1]), int(pair[2]))
+                return self._run(path.resolve().parent, (int(pair[1]), int(pair[2])))
             return self._pair()
         if (path / SETTINGS).is_file():
-            return self._run()
+            return self._run(path)
         raise ResultError(
             f"{path}: nothing to view: expected a result (objects.json), a run (settings.json and pair folders) "
             "or a data set (manifest.json)"
@@ -99,20 +109,40 @@ class View(CameraArguments):
         if self.frames is not None:
             prev, curr = open_two(self.frames, self.camera_options())
         elif motion.frames:
-            prev, curr = open_location(motion.frames)
+            try:
+                prev, curr = open_location(motion.frames)
+            except ReaderError as error:
+                raise ReaderError(f"{error}; add --frames if the frames were moved") from error
         else:
             raise ReaderError(
                 f"{self.path}: the result was not made from files: add --frames with the pair folder or the four files"
             )
         return partial(pair_frames, prev, curr, motion)
 
-    def _run(self) -> Callable[[], Iterable[ViewerFrame]]:
-        pairs = run_pairs(self.path)
-        run_frames = RunFrames(self._source(self.path))
+    def _run(self, run: Path, only: tuple[int, int] | None = None) -> Callable[[], Iterable[ViewerFrame]]:
+        """The frames of a run, or of one of its pairs."""
+        pairs = run_pairs(run)
+        source = self._source(run)
+        if not (run / TRACKS).is_file():
+            unfinished = UnfinishedRunFrames(source)
+            return lambda: (
+                frame
+                for prev, curr, folder in pairs
+                if only in (None, (prev, curr))
+                for frame in unfinished.read(folder, prev, curr)
+            )
+        index = read_model_index(run)
+        tracks = [registered_track(track, index) for track in read_tracks(run)]
+        frames = RunFrames(source, tracks, read_known, model_files(run))
 
         def make() -> Iterator[ViewerFrame]:
             for prev, curr, folder in pairs:
-                yield from run_frames.read(folder, prev, curr)
+                if only in (None, (prev, curr)):
+                    yield from frames.read(folder, prev, curr)
+                    if only is not None:
+                        return
+                else:
+                    frames.skip(folder, prev, curr)
 
         return make
 

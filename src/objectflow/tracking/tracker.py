@@ -82,6 +82,12 @@ class Tracker:
         self.camera_times: list[float] = []
         self.world_T_camera: list[Float64Array] = []
         self._states: dict[int, _LastState] = {}
+        self._first_of_world = 1
+
+    @property
+    def world_tracks(self) -> list[Track]:
+        """The kept tracks since the last reset, whose poses share a world, in order of id."""
+        return [track for track in self._tracks.values() if track.id >= self._first_of_world]
 
     @property
     def tracks(self) -> list[Track]:
@@ -165,6 +171,7 @@ class Tracker:
         """Discard the state, as after a cut of the sequence; objects of the next pair get new ids."""
         self.camera_times, self.world_T_camera = [], []
         self._states = {}
+        self._first_of_world = self._next
         if self.settings.history is not None:
             self._tracks = {}
 

@@ -9,8 +9,16 @@ FRAME = "frame"
 """The timeline of frame numbers."""
 
 
-def make_layout() -> rrb.Blueprint:
-    """The layout that a new recording opens with."""
+POINTS = "world/points"
+MODELS = "world/models"
+
+
+def make_layout(*, models: bool = False) -> rrb.Blueprint:
+    """The layout that a new recording opens with.
+
+    Args:
+        models: with a tab for the models of objects.
+    """
     # The labels' own view has no image below them, so they are opaque.
     labels = rrb.Spatial2DView(
         origin=CAMERA,
@@ -18,9 +26,17 @@ def make_layout() -> rrb.Blueprint:
         name="Labels",
         overrides={f"{CAMERA}/labels": rr.SegmentationImage.from_fields(opacity=1.0)},
     )
+    views = [
+        _world_view("Objects", "by_object"),
+        _world_view("Flow", "by_flow"),
+        _world_view("Colour", "by_color/objects", "by_color/rest"),
+    ]
+    if models:
+        # The models stand in for the points of the objects.
+        views.append(_world_view("Models", "by_color/rest", models=True))
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Tabs(_world_view("Objects", "by_flow"), _world_view("Flow", "by_object"), active_tab=0),
+            rrb.Tabs(*views, active_tab=len(views) - 1 if models else 0),
             rrb.Vertical(_image_view("Colour with masks", "color", "labels"), _image_view("Depth", "depth"), labels),
             column_shares=[2.4, 1],
         ),
@@ -30,12 +46,16 @@ def make_layout() -> rrb.Blueprint:
     )
 
 
-def _world_view(name: str, hidden_points: str) -> rrb.Spatial3DView:
+def _world_view(name: str, *points: str, models: bool = False) -> rrb.Spatial3DView:
+    """A 3D view of everything with some of the points, and with or without models."""
     # The depth image is hidden because rerun would draw it as a second point cloud.
-    hidden = [f"- /{CAMERA}/depth", f"- /{CAMERA}/labels", f"- /world/points/{hidden_points}"]
+    contents = ["+ $origin/**", f"- /{CAMERA}/depth", f"- /{CAMERA}/labels", f"- /{POINTS}/**"]
+    contents += [f"+ /{POINTS}/{part}" for part in points]
+    if not models:
+        contents.append(f"- /{MODELS}/**")
     return rrb.Spatial3DView(
         origin="world",
-        contents=["+ $origin/**", *hidden],
+        contents=contents,
         name=name,
         background=[255, 255, 255],
         line_grid=False,

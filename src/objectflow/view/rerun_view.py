@@ -14,10 +14,11 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.errors import StorageError
+from objectflow.typing import Float64Array
 from objectflow.view import colors
 from objectflow.view.motion_arrows import place_arrow
 from objectflow.view.point_colors import color_by_flow, color_by_object, pale_gray
-from objectflow.view.rerun_layout import CAMERA, FRAME, make_layout
+from objectflow.view.rerun_layout import CAMERA, FRAME, MODELS, POINTS, make_layout
 from objectflow.view.rerun_sdk import rr
 from objectflow.view.viewer_frames import NO_TRACK, NO_TRACK_NAME, ViewerFrame
 from objectflow.view.viewer_outputs import check_display, free_port, temporary_beside
@@ -28,6 +29,10 @@ SECONDS = "seconds"
 
 MAX_POINTS = 100_000
 """Maximum number of points per frame; larger frames are subsampled so that recordings stay small."""
+MAX_TRAIL = 300
+"""Largest number of positions of a trail."""
+MIN_STEP = 0.001
+"""Metres: smallest step that a trail shows, so that it does not grow at rest."""
 JPEG_QUALITY = 92
 PORTS = (9090, 9876)
 """rerun's default ports of the web page and of the data; others are used where these are taken."""
@@ -42,12 +47,16 @@ TRANSPARENT = (0, 0, 0, 0)
 class RerunViewer:
     """See `viewer.open_viewer` for arguments and errors."""
 
-    def __init__(self, title: str, *, window: bool = False, save: Path | None = None, web: bool = False) -> None:
+    def __init__(
+        self, title: str, *, window: bool = False, save: Path | None = None, web: bool = False, models: bool = False
+    ) -> None:
         if window:
             check_display()
         self._shown: set[int] = set()
         self._drawn: set[int] = set()
         self._names: dict[int, str] = {}
+        self._trails: dict[int, list[Float64Array]] = {}
+        self._modelled: set[int] = set()
         self._save, self._temporary = save, None if save is None else temporary_beside(save)
         self._stream = rr.RecordingStream(APPLICATION, recording_id=f"{title}-{time.time_ns()}")
         sinks: list[rr.GrpcSink | rr.GrpcServerSink | rr.FileSink] = []
@@ -64,7 +73,7 @@ class RerunViewer:
         if self._temporary is not None:
             sinks.append(rr.FileSink(self._temporary.path))
         self._stream.set_sinks(*sinks)
-        self._stream.send_blueprint(make_layout())
+        self._stream.send_blueprint(make_layout(models=models))
         self._stream.send_recording_name(title)
         self._log("world", rr.ViewCoordinates.RDF, static=True)
 
@@ -103,6 +112,8 @@ class RerunViewer:
         self._log_points(shown)
         self._log_motions(shown)
         self._log_poses(shown)
+        self._log_trails(shown)
+        self._log_models(shown)
 
     def _log_names(self, shown: ViewerFrame) -> None:
         """Register names and colours of new ids."""
@@ -149,8 +160,13 @@ class RerunViewer:
         radii = 0.75 * step * points[:, 2] / frame.camera.fx
         by_object = gray if shown.ids is None else color_by_object(gray, shown.ids[grid][valid])
         by_flow = gray if shown.own_flow is None else color_by_flow(gray, shown.own_flow[grid][valid])
-        self._log("world/points/by_object", rr.Points3D(world, colors=by_object, radii=radii))
-        self._log("world/points/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
+        self._log(f"{POINTS}/by_object", rr.Points3D(world, colors=by_object, radii=radii))
+        self._log(f"{POINTS}/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
+        # Objects and the rest are apart, so that a view can show models instead of the objects' points.
+        color = frame.color[grid][valid]
+        on_object = np.zeros(len(world), np.bool_) if shown.ids is None else shown.ids[grid][valid] > 0
+        for name, part in (("objects", on_object), ("rest", ~on_object)):
+            self._log(f"{POINTS}/by_color/{name}", rr.Points3D(world[part], colors=color[part], radii=radii[part]))
 
     def _log_motions(self, shown: ViewerFrame) -> None:
         """Log the arrow and the caption of each moving object."""
@@ -192,6 +208,40 @@ class RerunViewer:
             entity, pose = f"world/objects/{obj.id:03d}", obj.world_T_object
             self._log(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
             self._log(entity, rr.TransformAxes3D(axis_length=0.08))
+
+    def _log_trails(self, shown: ViewerFrame) -> None:
+        """Extend the trails of the objects and log those of the objects in this frame."""
+        present = {obj.id for obj in shown.objects}
+        self._trails = {number: trail for number, trail in self._trails.items() if number in present}
+        for obj in shown.objects:
+            trail = self._trails.setdefault(obj.id, [])
+            position = obj.world_T_object[:3, 3]
+            if not trail or np.linalg.norm(position - trail[-1]) >= MIN_STEP:
+                trail.append(position)
+            del trail[:-MAX_TRAIL]
+        drawn = [(number, trail) for number, trail in sorted(self._trails.items()) if len(trail) > 1]
+        self._log(
+            "world/trails",
+            rr.LineStrips3D(
+                [np.array(trail) for _, trail in drawn],
+                colors=[colors.object_color(number) for number, _ in drawn],
+                radii=0.002,
+            ),
+        )
+
+    def _log_models(self, shown: ViewerFrame) -> None:
+        """Log each model when its object first appears, and its pose."""
+        present = {obj.id for obj in shown.objects if obj.model is not None}
+        for number in sorted(self._modelled - present):
+            self._log(f"{MODELS}/{number:03d}", rr.Clear(recursive=False))
+        for obj in shown.objects:
+            if obj.model is None:
+                continue
+            entity, pose = f"{MODELS}/{obj.id:03d}", obj.world_T_object
+            self._log(entity, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+            if obj.id not in self._modelled:
+                self._log(entity, rr.Asset3D(path=obj.model))
+        self._modelled = present
 
     def _log(self, entity: str, components: rr.AsComponents, *, static: bool = False) -> None:
         self._stream.log(entity, components, static=static)

@@ -15,6 +15,7 @@ from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSource
 from objectflow.tracking.sequence_estimator import SequenceEstimator, SequenceStep
 from objectflow.view.overlay import TrackMarks
+from objectflow.view.viewer_frames import ViewerFrame, tracked_frames
 
 TRAIL = 30
 """Number of earlier positions that a trail shows."""
@@ -49,6 +50,7 @@ class RunTracks:
         self.frame_rate = FRAME_RATE
         if gaps:
             self.frame_rate = min(MAX_FRAME_RATE, 1 / max(statistics.median(gaps), 1e-3))
+        self._start = min(known.values(), default=0.0)
         self._last: int | None = None
 
     def add(
@@ -78,3 +80,12 @@ class RunTracks:
                 positions = np.array([pose[:3, 3] for pose in track.world_T_object[-TRAIL:]])
                 trails[track.id] = geometry.transform(curr_T_world, positions)
         return step, TrackMarks(step.tracks, trails)
+
+    def frames(self, step: SequenceStep, prev_index: int, curr_index: int) -> tuple[ViewerFrame, ViewerFrame]:
+        """Both frames of the step that `add` has returned last, for a viewer."""
+        times = (self._source.timestamp(index) for index in (prev_index, curr_index))
+        prev, curr = (None if time is None else time - self._start for time in times)
+        frames, numbers = (step.prev, step.curr), (prev_index, curr_index)
+        return tracked_frames(
+            self.sequence.tracker, step.tracks, frames, step.motion, numbers, (prev, curr), step.known
+        )

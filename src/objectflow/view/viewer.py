@@ -39,7 +39,9 @@ class NoViewer:
         pass
 
 
-def open_viewer(title: str, *, window: bool = False, save: Path | None = None, web: bool = False) -> Viewer:
+def open_viewer(
+    title: str, *, window: bool = False, save: Path | None = None, web: bool = False, models: bool = False
+) -> Viewer:
     """Open rerun's viewer, or a `NoViewer` if no output is requested.
 
     Args:
@@ -47,6 +49,7 @@ def open_viewer(title: str, *, window: bool = False, save: Path | None = None, w
         window: open rerun's window.
         save: write an .rrd file, which appears when the viewer is closed without an error.
         web: serve the web viewer; `RerunViewer.address` holds its address.
+        models: add a tab with the models of objects.
 
     Raises:
         MissingExtraError: rerun is not installed.
@@ -57,4 +60,4 @@ def open_viewer(title: str, *, window: bool = False, save: Path | None = None, w
         return NoViewer()
     # Imported here because rerun is optional and slow to import.
     module = importlib.import_module("objectflow.view.rerun_view")
-    return cast(Viewer, module.RerunViewer(title, window=window, save=save, web=web))
+    return cast(Viewer, module.RerunViewer(title, window=window, save=save, web=web, models=models))

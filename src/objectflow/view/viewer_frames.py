@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ class ShownObject:
         world_T_object: (4, 4) pose.
         path: (2, 3) its centre in the previous and in this frame; None if it did not move.
         caption: displacement and rotation, for display.
+        model: binary glTF file of its model in the object frame; None without a model.
     """
 
     id: int
@@ -38,6 +40,7 @@ class ShownObject:
     world_T_object: Float64Array
     path: Float64Array | None = None
     caption: str = ""
+    model: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,20 +110,52 @@ def tracked_frames(
         frames: previous and current.
         motion: between the frames.
         numbers, seconds: of both frames.
-        known: (H, W) track ids of known objects in the current frame, which are also shown at rest; None for none.
+        known: (H, W) track ids of known objects in the current frame, at rest as well; None for none.
     """
     # A lost camera has no poses.
-    world_T_prev, world_T_curr = tracker.world_T_camera[-2:] or (np.eye(4), np.eye(4))
-    by_track = {track: obj for obj in motion.objects for label, track in tracks.items() if label == obj.id}
+    cameras = tuple(tracker.world_T_camera[-2:]) or (np.eye(4), np.eye(4))
+    poses = {}
+    for track in tracker.world_tracks:
+        moved = track.id in tracks.values()
+        poses[track.id] = (track.world_T_object[-2 if moved else -1], track.world_T_object[-1])
+    return posed_frames(poses, tracks, (cameras[0], cameras[1]), frames, motion, numbers, seconds, known)
+
+
+def posed_frames(
+    poses: Mapping[int, tuple[Float64Array, Float64Array]],
+    tracks: Mapping[int, int],
+    world_T_camera: tuple[Float64Array, Float64Array],
+    frames: tuple[RgbdFrame, RgbdFrame],
+    motion: SceneMotion,
+    numbers: tuple[int, int],
+    seconds: tuple[float | None, float | None],
+    known: LabelImage | None = None,
+    models: Mapping[int, Path] | None = None,
+) -> tuple[ViewerFrame, ViewerFrame]:
+    """Both frames of a pair in a sequence, with all objects of its world.
+
+    Args:
+        poses: (4, 4) `world_T_object` in both frames by track id, also of objects at rest.
+        tracks: track id by the object's id in `motion`, of the objects that moved.
+        world_T_camera: (4, 4) of both frames.
+        frames: previous and current.
+        motion: between the frames.
+        numbers, seconds: of both frames.
+        known: (H, W) track ids of known objects in the current frame, at rest as well; None for none.
+        models: model files by track id.
+    """
+    by_track = {tracks[obj.id]: obj for obj in motion.objects if obj.id in tracks}
     before, after = [], []
-    for track in tracker.tracks:
-        if track.id not in by_track:
-            continue
-        start, pose = track.world_T_object[-2:]
-        obj, name = by_track[track.id], f"object {track.id}"
-        path = geometry.transform(world_T_curr, np.stack([obj.prev_center, obj.center]))
-        before.append(ShownObject(track.id, name, start))
-        after.append(ShownObject(track.id, name, pose, path, motion_caption(obj)))
+    for number, (start, pose) in poses.items():
+        model = (models or {}).get(number)
+        shown = ShownObject(number, f"object {number}", start, model=model)
+        before.append(shown)
+        path, caption = None, ""
+        if number in by_track:
+            obj = by_track[number]
+            path = geometry.transform(world_T_camera[1], np.stack([obj.prev_center, obj.center]))
+            caption = motion_caption(obj)
+        after.append(replace(shown, world_T_object=pose, path=path, caption=caption))
     id_of_label = np.full(int(motion.labels.max(initial=0)) + 1, NO_TRACK, np.uint16)
     id_of_label[0] = 0
     for label, track_id in tracks.items():
@@ -129,9 +164,10 @@ def tracked_frames(
     ids = id_of_label[motion.labels]
     if known is not None:
         ids = np.where((known > 0) & ((ids == 0) | (ids == NO_TRACK)), known, ids).astype(np.uint16)
+    own_flow = motion.own_flow(frames[1])
     return (
-        ViewerFrame(numbers[0], seconds[0], frames[0], world_T_prev, objects=tuple(before)),
-        ViewerFrame(numbers[1], seconds[1], frames[1], world_T_curr, ids, motion.own_flow(frames[1]), tuple(after)),
+        ViewerFrame(numbers[0], seconds[0], frames[0], world_T_camera[0], objects=tuple(before)),
+        ViewerFrame(numbers[1], seconds[1], frames[1], world_T_camera[1], ids, own_flow, tuple(after)),
     )
 
 

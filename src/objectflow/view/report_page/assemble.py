@@ -5,11 +5,14 @@ from __future__ import annotations
 import html
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import Any
 
-_SCRIPTS = ("data.js", "colors.js", "pictures.js", "plots.js", "gallery.js", "scene.js", "pair.js", "main.js")
+_SCRIPTS = (
+    *("data.js", "theme.js", "colors.js", "pictures.js", "plots.js"),
+    *("gallery.js", "scene.js", "pair.js", "main.js"),
+)
 
 
 def escape(text: object) -> str:
@@ -29,18 +32,30 @@ def json_block(name: str, values: Mapping[str, Any]) -> str:
     return f'<script type="application/json" id="{escape(name)}">{text}</script>'
 
 
-def assemble(parts: Mapping[str, str]) -> str:
-    """Assemble the page from its HTML parts: title, facts, tables, gallery_note, failures, footer and data."""
+def assemble(
+    parts: Mapping[str, str],
+    *,
+    template: str = "page.html",
+    scripts: Sequence[str] = _SCRIPTS,
+    styles: Sequence[str] = ("page.css",),
+) -> str:
+    """Assemble a page from its HTML parts.
+
+    Args:
+        parts: escaped HTML by the name of its placeholder in the template.
+        template: file of the page.
+        scripts, styles: files that are inlined, in order.
+    """
     folder = resources.files(__package__)
     values = {
         **parts,
-        "css": _asset("page.css"),
+        "css": "\n".join(_asset(name) for name in styles),
         "three": f"/*\n{licence()}*/\n{_asset('three.min.js')}",
-        "script": "\n".join(_asset(name) for name in _SCRIPTS),
+        "script": "\n".join(_asset(name) for name in scripts),
     }
-    template = folder.joinpath("page.html").read_text(encoding="utf-8")
+    text = folder.joinpath(template).read_text(encoding="utf-8")
     # A single pass, so that inserted text is not searched for placeholders.
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], template)
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], text)
 
 
 def licence() -> str:
