@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from objectflow import geometry
 from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
@@ -172,3 +173,21 @@ def test_files_hold_the_pictures(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "flow.png")) is not None
     with pytest.raises(ResultError):
         write_pictures(tmp_path, make_frame(160, 120), motion)
+
+
+def test_captions_leave_arrows_free() -> None:
+    camera = Camera(320, 240, 300.0, 300.0, 159.5, 119.5)
+    labels = np.zeros((240, 320), np.int32)
+    labels[110:170, 120:200] = 1
+    frame = RgbdFrame(np.full((240, 320, 3), 90, np.uint8), np.full((240, 320), 0.8, np.float32), camera)
+    center = geometry.back_project_pixels(np.array([159.5, 139.5]), 0.8, camera)
+    before = geometry.make_transform(np.eye(3), [0.0, -0.25, 0.0])  # The arrow comes from 94 pixels above.
+    flow = np.zeros((240, 320, 3), np.float32)
+    flow[labels == 1] = before[:3, 3]
+    motion = SceneMotion(labels, flow, (ObjectMotion(1, 4800, 0.9, True, center, before),))
+    image = draw_overlay(frame, motion).astype(int)
+    scale = image.shape[1] // 320
+    # The strips beside the arrow, above the mask, show the grey frame.
+    for column in (159.5 - 5, 159.5 + 5):
+        strip = image[50 * scale : 104 * scale, round(column * scale)]
+        assert (strip.max(axis=1) < 200).all()

@@ -203,3 +203,43 @@ def test_a_failure_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         show_then_fail()
     assert os.listdir(tmp_path) == []
+
+
+def test_trails_and_photographic_colours_are_logged(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
+    path = tmp_path / "view.rrd"
+    before, after = pair_frames(frame(5.0), frame(5.5), make_motion())
+    with open_viewer("test", save=path) as viewer:
+        viewer.show(lambda: [before, after])
+    found = read_back(path)
+    strips = column(found["/world/trails"], "LineStrips3D:strips")
+    assert [len(frame_strips) for frame_strips in strips] == [0, 1]  # Object 2 rests.
+    expected = [obj.world_T_object[:3, 3] for obj in (before.objects[0], after.objects[0])]
+    np.testing.assert_allclose(strips[1][0], expected, atol=1e-6)
+    labels = make_motion().labels
+    for name, mask in (("objects", labels > 0), ("rest", labels == 0)):
+        values = column(found[f"/world/points/by_color/{name}"], "Points3D:colors")[1]
+        rgba = np.array(values, np.uint32).ravel()
+        rgb = np.stack([rgba >> 24, (rgba >> 16) & 255, (rgba >> 8) & 255], -1)
+        np.testing.assert_array_equal(rgb, frame(5.5).color[mask])
+
+
+def test_models_are_logged_at_the_poses_of_their_objects(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
+    path, model = tmp_path / "view.rrd", tmp_path / "object_001.glb"
+    model.write_bytes(b"glTF, as read by the viewer")
+    before, after = (
+        dataclasses.replace(shown, objects=(dataclasses.replace(shown.objects[0], model=model), *shown.objects[1:]))
+        for shown in pair_frames(frame(5.0), frame(5.5), make_motion())
+    )
+    with open_viewer("test", save=path, models=True) as viewer:
+        viewer.show(lambda: [before, after, dataclasses.replace(after, number=2, objects=())])
+    found = read_back(path)
+    assert not any(name.startswith("/world/models/002") for name in found)
+    blobs = column(found["/world/models/001"], "Asset3D:blob")
+    assert len(blobs) == 1  # Once, when the object appears.
+    assert bytes(np.array(blobs[0], np.uint8).ravel()) == model.read_bytes()
+    poses = column(found["/world/models/001"], "Transform3D:translation")
+    expected = [shown.objects[0].world_T_object[:3, 3] for shown in (before, after)]
+    np.testing.assert_allclose(np.array(poses).reshape(2, 3), expected, atol=1e-6)
+    assert column(found["/world/models/001"], "Clear:is_recursive") == [[False]]

@@ -21,7 +21,7 @@ from objectflow.view.colors import INK, NO_DEPTH
 TARGET_WIDTH = 640
 """Minimum width of each panel, pixels; smaller images are enlarged by an integer factor."""
 
-MAX_LENGTH = 1280
+MAX_LENGTH = 960
 """Maximum length of a panel's longer side, pixels; larger images are reduced."""
 
 SMALLEST_RANGE = 0.01

@@ -26,6 +26,8 @@ MAX_LENGTH = 1920
 """Maximum length of the longer side, pixels; larger images are reduced."""
 NO_TRACK = (173, 181, 189)
 """Colour of objects without a track, RGB."""
+ARROW_ROOM = 24
+"""Width around an arrow that captions avoid, in 1/960 of the picture's longer side."""
 MAX_TAGS = 10
 """Number of moving objects above which captions move from the image to a legend below it."""
 
@@ -76,16 +78,21 @@ def draw_overlay(curr: RgbdFrame, motion: SceneMotion, tracks: TrackMarks | None
     for number, trail in (tracks.trails if tracks else {}).items():
         _draw_trail(image, camera, trail, object_color(number), scale, unit)
     tags = []
+    # Tags avoid masks and arrows.
+    busy = (labels > 0).astype(np.uint8)
     for obj in ordered:
         anchor = anchors[obj.id]
-        if obj.moving:
-            anchor = _draw_arrow(image, camera, obj, scale, unit) or anchor
+        if obj.moving and (ends := _arrow_ends(camera, obj, scale)) is not None:
+            _draw_arrow(image, *ends, obj.motion_known, unit)
+            pixels = [(round(u / scale), round(v / scale)) for u, v in ends]
+            cv2.line(busy, *pixels, 1, max(1, round(ARROW_ROOM * unit / scale)))
+            anchor = ends[1]
         if obj.id in numbers:
             tags.append(Tag.of(obj, numbers[obj.id], anchor, boxes[obj.id - 1], scale))
     if sum(tag.caption != "" for tag in tags) > MAX_TAGS:
         draw_numbers(image, tags, unit)
         return draw_legend(image, tags, unit)
-    draw_tags(image, tags, labels > 0, scale, unit)
+    draw_tags(image, tags, np.asarray(busy > 0, dtype=np.bool_), scale, unit)
     return image
 
 
@@ -149,19 +156,23 @@ def _signed_distance(mask: BoolMask, scale: int) -> Float32Array:
     return np.where(inside > 0, into - 0.5, 0.5 - out).astype(np.float32)
 
 
-def _draw_arrow(image: UInt8Array, camera: Camera, obj: ObjectMotion, scale: int, unit: float) -> canvas.Point | None:
-    """Draw the displacement of the centre in the image and return its end, or None if it is out of view."""
+def _arrow_ends(camera: Camera, obj: ObjectMotion, scale: int) -> tuple[canvas.Point, canvas.Point] | None:
+    """The centre's previous and current position in the picture, or None if it is out of view."""
     ends = geometry.project(np.stack([obj.prev_center, obj.center]), camera)
     if not np.isfinite(ends).all() or np.abs(ends).max() > 4 * max(camera.width, camera.height):
         return None
     start, end = (_enlarge(float(u), float(v), scale) for u, v in ends)
+    return start, end
+
+
+def _draw_arrow(image: UInt8Array, start: canvas.Point, end: canvas.Point, known: bool, unit: float) -> None:
+    """Draw the displacement of a centre; `known` tells whether the motion is known at all."""
     if math.dist(start, end) >= 3 * unit:
         canvas.arrow(image, start, end, PAPER, 5.5 * unit, INK)
-    elif obj.motion_known:
+    elif known:
         # A motion along the ray has no direction in the image.
         canvas.disk(image, end, 4.5 * unit, INK)
         canvas.disk(image, end, 3.0 * unit, PAPER)
-    return end
 
 
 def _draw_trail(
