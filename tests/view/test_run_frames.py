@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -63,11 +64,27 @@ def test_ids_and_poses_are_those_of_the_run(result: Path) -> None:
                 continue
             k = track.times.index(float(curr))
             np.testing.assert_array_equal(obj.world_T_object, track.world_T_object[k])
-            np.testing.assert_array_equal(earlier.world_T_object, track.world_T_object[k - 1])
+            np.testing.assert_array_equal(earlier.world_T_object, track.world_T_object[max(k - 1, 0)])
             if track.labels[k]:
                 np.testing.assert_array_equal(after.ids == obj.id, motion.labels == track.labels[k])
                 assert obj.path is not None
         assert set(np.unique(after.ids)) <= {0, NO_TRACK, *tracks}
+
+
+def test_an_object_is_shown_from_its_first_pose_on(result: Path) -> None:
+    tracks = read_tracks(result)
+    late = replace(
+        tracks[0],
+        times=[1.0, 2.0],
+        world_T_object=[tracks[0].world_T_object[0], tracks[0].world_T_object[-1]],
+        labels=[0, tracks[0].labels[-1]],
+        scores=[1.0, 1.0],
+    )
+    frames = RunFrames(open_run_source(result, None, "--frames"), [late], read_known, {})
+    (_, first), (_, second) = (frames.read(folder, prev, curr) for prev, curr, folder in run_pairs(result))
+    np.testing.assert_array_equal(first.objects[0].world_T_object, late.world_T_object[0])
+    assert first.objects[0].path is None
+    np.testing.assert_array_equal(second.objects[0].world_T_object, late.world_T_object[1])
 
 
 def test_one_pair_is_shown_in_the_world_of_its_run(result: Path) -> None:

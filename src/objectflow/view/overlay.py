@@ -84,8 +84,8 @@ def draw_overlay(curr: RgbdFrame, motion: SceneMotion, tracks: TrackMarks | None
         anchor = anchors[obj.id]
         if obj.moving and (ends := _arrow_ends(camera, obj, scale)) is not None:
             _draw_arrow(image, *ends, obj.motion_known, unit)
-            pixels = [(round(u / scale), round(v / scale)) for u, v in ends]
-            cv2.line(busy, *pixels, 1, max(1, round(ARROW_ROOM * unit / scale)))
+            start, end = ((round(u / scale), round(v / scale)) for u, v in ends)
+            cv2.line(busy, start, end, 1, max(1, round(ARROW_ROOM * unit / scale)))
             anchor = ends[1]
         if obj.id in numbers:
             tags.append(Tag.of(obj, numbers[obj.id], anchor, boxes[obj.id - 1], scale))

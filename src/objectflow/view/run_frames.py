@@ -105,10 +105,14 @@ class RunFrames:
         time, found = self._time(curr_index), {}
         for track in self._tracks:
             label = dict(zip(track.times, track.labels, strict=True)).get(time, 0)
-            if label and track.id not in self._ended:
+            if track.id in self._ended:
+                continue
+            if label:
                 found[label] = track.id
-                if track not in self._started:
-                    self._started.append(track)
+            # A track has its first pose in the frame before its first step.
+            if (label or track.times[0] == time) and track not in self._started:
+                self._started.append(track)
+        self._started.sort(key=lambda track: track.id)
         return cameras, found
 
 
