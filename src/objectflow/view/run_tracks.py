@@ -18,7 +18,7 @@ from objectflow.view.overlay import TrackMarks
 from objectflow.view.viewer_frames import ViewerFrame, tracked_frames
 
 TRAIL = 30
-"""Number of earlier positions that a trail shows."""
+"""Number of positions that a trail shows: those of the present centre of the surface."""
 FRAME_RATE = 5.0
 """Pairs per second of a video where the source has no times."""
 MAX_FRAME_RATE = 30.0
@@ -73,12 +73,17 @@ class RunTracks:
         tracker = self.sequence.tracker
         if not tracker.world_T_camera:  # the camera is lost
             return step, TrackMarks(step.tracks, {})
-        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        world_T_curr = tracker.world_T_camera[-1]
+        centers = {step.tracks[obj.id]: obj.center for obj in step.motion.objects if obj.id in step.tracks}
         trails = {}
         for track in tracker.tracks:
-            if track.id in step.tracks.values():
-                positions = np.array([pose[:3, 3] for pose in track.world_T_object[-TRAIL:]])
-                trails[track.id] = geometry.transform(curr_T_world, positions)
+            if track.id in centers:
+                # The point that is the centre of the surface now, so that the trail ends at the arrow.
+                center = geometry.transform(
+                    geometry.inverse(track.world_T_object[-1]) @ world_T_curr, centers[track.id]
+                )
+                positions = np.array([geometry.transform(pose, center) for pose in track.world_T_object[-TRAIL:]])
+                trails[track.id] = geometry.transform(geometry.inverse(world_T_curr), positions)
         return step, TrackMarks(step.tracks, trails)
 
     def frames(self, step: SequenceStep, prev_index: int, curr_index: int) -> tuple[ViewerFrame, ViewerFrame]:
