@@ -249,6 +249,7 @@ def _write_step(
         (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
 
 
+@contextmanager
 def _opened(out: Path, settings: dict[str, Any]) -> Iterator[None]:
     """Create the output folder, or continue an earlier run with the same settings; see `locked_folder`."""
     check_not_below_a_file(out)
