@@ -21,7 +21,7 @@ OBJECT_MASK_THRESHOLD = 0.1
 validation pairs and on real pairs."""
 QUERY_THRESHOLD = 0.05
 """Minimum probability, 0..1, of a query; it is below that of an object, since several queries share one object."""
-DUPLICATE_IOU = 0.5
+DUPLICATE_IOU = 0.7
 """Minimum intersection over union, 0..1, of the masks of two queries on one object."""
 OVERLAP_THRESHOLD = 0.5
 """Minimum share of its mask, 0..1, that an object keeps where masks overlap; an object with less is removed."""
