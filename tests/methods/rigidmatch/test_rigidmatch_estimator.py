@@ -74,6 +74,16 @@ def test_each_pixel_gets_the_most_probable_object_and_objects_without_pixels_are
     assert decode(output, (48, 64), min_pixels=300)[1] == ()
 
 
+@pytest.mark.parametrize("changes", [{}, {"stride": 8, "detail_channels": 6}], ids=str)
+def test_without_a_probable_query_there_are_no_objects(changes: dict[str, Any]) -> None:
+    made = RigidMatch(dataclasses.replace(TINY_RIGID, **changes), generator=torch.Generator().manual_seed(0)).eval()
+    with torch.no_grad():
+        output = select(made(*images()), 1)
+    labels, objects = decode(output._replace(objectness=torch.full_like(output.objectness, -9.0)), (48, 64))
+    assert objects == ()
+    assert not labels.any()
+
+
 def test_the_flow_per_pixel_is_that_of_its_match() -> None:
     output, seen = two_squares()
     shift = torch.tensor([0.01, -0.02, 0.03])[:, None, None]

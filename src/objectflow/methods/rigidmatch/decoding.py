@@ -96,6 +96,8 @@ def decode(
         )
     probability = output.objectness[-1, 0].sigmoid()
     kept = torch.nonzero(probability > min(threshold, QUERY_THRESHOLD))[:, 0]
+    if not len(kept):
+        return np.zeros(size, np.int32), ()
     logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
     merged = merge_duplicates(logits[0, :, : size[0], : size[1]], probability[kept], duplicate_iou)
     sure = torch.nonzero(merged.probability > threshold)[:, 0]
