@@ -21,6 +21,7 @@ from helpers.paths import HELPERS_ON_PATH
 from helpers.training_runs import RECIPE, checkpoint_tensors, job, write_set
 from objectflow.errors import TrainingError
 from objectflow.training.callbacks import Callback
+from objectflow.training.checkpoint import save_checkpoint
 from objectflow.training.loop import train
 
 
@@ -105,6 +106,27 @@ def test_killed_at_any_moment_and_resumed(data: Path, tmp_path: Path) -> None:
         torch.set_num_threads(threads)
     assert_same(out, tmp_path / "whole")
     assert not [path for path in (out / "checkpoints").iterdir() if path.name.startswith(".")]
+
+
+@pytest.mark.parametrize("validation_pairs", [0, 4])
+def test_a_run_that_is_killed_after_its_last_checkpoint_is_complete(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, validation_pairs: int
+) -> None:
+    recipe = dataclasses.replace(RECIPE, steps=2, validation_pairs=validation_pairs)
+    train(job(data, tmp_path / "whole", recipe))
+
+    def save_and_end(*values: Any, **options: Any) -> None:
+        save_checkpoint(*values, **options)
+        raise SystemExit
+
+    with monkeypatch.context() as patch, pytest.raises(SystemExit):
+        patch.setattr("objectflow.training.loop.save_checkpoint", save_and_end)
+        train(job(data, tmp_path / "killed", recipe))
+    assert train(job(data, tmp_path / "killed", recipe, resume=True)).finished
+    names = [sorted(str(path.relative_to(out)) for path in out.rglob("*")) for out in sorted(tmp_path.iterdir())]
+    assert names[0] == names[1]
+    assert {"loss_curve.png", "weights.safetensors"} <= set(names[0])
+    assert_same(tmp_path / "killed", tmp_path / "whole")
 
 
 def test_a_torn_last_line_is_cut(data: Path, tmp_path: Path) -> None:

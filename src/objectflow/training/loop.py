@@ -173,13 +173,15 @@ def _loop(run: Run, feed: Iterator[Batch], stopping: GracefulStop) -> Outcome:
         # 5. Validate and save when due.
         if run.val is not None and (step % recipe.validate_every == 0 or ended):
             _validate(run, run.val)
+        # The last checkpoint is the last file: a resumed run that finds it has nothing left to do.
         if ended and run.val is None:
-            _write_weights(run, None)  # before the last checkpoint, after which a resumed run has nothing left to do
+            _write_weights(run, None)
+        if ended or signal:
+            _draw(run)
         if ended or signal or time.monotonic() - saved >= 60 * recipe.checkpoint_minutes:
             _save(run)
             saved = time.monotonic()
         if ended or signal:
-            _draw(run)
             process.wait()
             return Outcome(run.state, finished=ended, signal=signal)
         lapped = time.monotonic()
