@@ -185,6 +185,8 @@ def test_a_full_disk_leaves_no_files(
         (["estimate", "nowhere"], "nowhere: no such folder"),
         (["estimate", "a", "b", "c", "d"], "a: no such file"),
         (["run", "nowhere"], "nowhere: no such folder"),
+        (["run", "nowhere.mkv"], "nowhere.mkv: no such file"),
+        (["run", "nowhere.bag"], "nowhere.bag: no such file"),
         (["run"], "SOURCE"),
         (["fly"], "choose one of estimate"),
         (["demo", "--method", "best"], "unknown method"),

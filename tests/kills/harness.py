@@ -38,6 +38,8 @@ CHANGES = (
 """Functions of `os` that are counted; `os.open` and `open` are counted where they create or truncate."""
 WRITING = os.O_CREAT | os.O_TRUNC
 _TEMPORARY = re.compile(r"(?<=\.objectflow-)[0-9a-f]{16}")
+State = tuple[tuple[str, int, bytes], ...]
+"""The name, permissions and content of each file."""
 Command = Callable[[Path], object]
 """Works in the folder that it is given."""
 Make = Callable[[Path], None]
@@ -64,14 +66,14 @@ def tree(folder: Path) -> dict[str, bytes]:
     return found
 
 
-def state(folder: Path) -> tuple[tuple[str, int, bytes], ...]:
+def state(folder: Path) -> State:
     """The names, permissions and content below a folder; the random names of temporaries are left out."""
     found = ((_TEMPORARY.sub("", name), (folder / name).lstat().st_mode, data) for name, data in tree(folder).items())
     return tuple(sorted(found))
 
 
 def kill_everywhere(
-    command: Command, make: Make, folder: Path, *, sample: int | None = None, seed: int = 0
+    command: Command, make: Make, folder: Path, *, sample: int | None = None, seed: int = 0, copies: bool = False
 ) -> tuple[int, int, list[Difference]]:
     """Kill a command at its points, run it again after each kill, and compare with an undisturbed run.
 
@@ -81,6 +83,8 @@ def kill_everywhere(
         folder: for the runs.
         sample: number of points, drawn at random; None for all.
         seed: of the draw.
+        copies: instead of killing a run for each point, copy the files that each point of one run finds, which are
+            those that a kill would leave.
 
     Returns:
         The number of kills, the number of points, and the differences.
@@ -98,13 +102,8 @@ def kill_everywhere(
     if sample is not None and sample < count:
         points = sorted(random.Random(seed).sample(points, sample))
     differences: list[Difference] = []
-    outcomes: dict[tuple[tuple[str, int, bytes], ...], tuple[str, ...]] = {}
-    for point in points:
-        make(fresh(work))
-        code, _ = run_child(command, work, point)
-        if code != -signal.SIGKILL:
-            raise RuntimeError(f"the run was not killed at point {point}, but ended with {code}")
-        left = state(work)
+    outcomes: dict[State, tuple[str, ...]] = {}
+    for point, left in (copied if copies else killed)(command, make, folder, points):
         if left not in outcomes:
             code, _ = run_child(command, work)
             if code != 0:
@@ -118,8 +117,48 @@ def kill_everywhere(
     return len(points), count, differences
 
 
-def run_child(command: Command, work: Path, point: int | None = None) -> tuple[int, int]:
-    """Run a command in a forked child, which is killed at a point if one is given.
+def killed(command: Command, make: Make, folder: Path, points: list[int]) -> Iterator[tuple[int, State]]:
+    """Kill a run at each point, and yield the point and what the kill left in the folder `work`."""
+    work = folder / "work"
+    for point in points:
+        make(fresh(work))
+        code, _ = run_child(command, work, point.__eq__, lambda: os.kill(os.getpid(), signal.SIGKILL))
+        if code != -signal.SIGKILL:
+            raise RuntimeError(f"the run was not killed at point {point}, but ended with {code}")
+        yield point, state(work)
+
+
+def copied(command: Command, make: Make, folder: Path, points: list[int]) -> Iterator[tuple[int, State]]:
+    """Copy what each point of a run finds, then restore each copy into the folder `work` and yield it as `killed`."""
+    work, numbers = folder / "work", itertools.count()
+    make(fresh(work))
+
+    def copy() -> None:
+        shutil.copytree(work, folder / "copies" / f"{next(numbers):04d}", symlinks=True)
+
+    code, _ = run_child(command, work, points.__contains__, copy)
+    copies = sorted((folder / "copies").iterdir())
+    if code != 0 or len(copies) != len(points):
+        raise RuntimeError(f"the run whose files are copied failed: {code}, or some points were not reached")
+    for point, source in zip(points, copies, strict=True):
+        shutil.rmtree(work)
+        shutil.copytree(source, work, symlinks=True)
+        yield point, state(work)
+
+
+def run_child(
+    command: Command,
+    work: Path,
+    wanted: Callable[[int], bool] = lambda _: False,
+    visit: Callable[[], None] = lambda: None,
+) -> tuple[int, int]:
+    """Run a command in a forked child.
+
+    Args:
+        command: the command.
+        work: its folder.
+        wanted: whether a point is visited.
+        visit: called there, in the child.
 
     Returns:
         Its exit code, or minus the signal; and the number of points that it reached.
@@ -131,7 +170,7 @@ def run_child(command: Command, work: Path, point: int | None = None) -> tuple[i
         try:
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
-            _count_points(point, reached)
+            _count_points(wanted, visit, reached)
             command(work)
             code = 0
         except SystemExit as error:
@@ -150,31 +189,35 @@ def fresh(folder: Path) -> Path:
     return folder
 
 
-def _count_points(last: int | None, reached: mmap.mmap) -> None:
-    """Count the changes of the file system in this process, two or three points each, and end it at one of them."""
+def _count_points(wanted: Callable[[int], bool], visit: Callable[[], None], reached: mmap.mmap) -> None:
+    """Count the changes of the file system in this process, two or three points each, and visit the wanted ones."""
     points: Iterator[int] = itertools.count()
     process = os.getpid()
+    visiting = False
 
     def reach() -> bool:
-        """Whether this point, in this process, is the last one."""
-        if os.getpid() != process:
+        """Whether this point, in this process, is to be visited."""
+        if os.getpid() != process or visiting:
             return False
         point = next(points)
         reached[:8] = (point + 1).to_bytes(8, "little")
-        return point == last
+        return wanted(point)
 
-    def end() -> None:
-        os.kill(os.getpid(), signal.SIGKILL)
+    def visit_here() -> None:
+        nonlocal visiting
+        visiting = True
+        visit()
+        visiting = False
 
     def counted(change: Callable[..., Any], applies: Callable[..., bool]) -> Callable[..., Any]:
         def wrapped(*arguments: Any, **options: Any) -> Any:
             if not applies(*arguments, **options):
                 return change(*arguments, **options)
             if reach():
-                end()
+                visit_here()
             result = change(*arguments, **options)
             if reach():
-                end()
+                visit_here()
             return result
 
         return wrapped
@@ -193,10 +236,11 @@ def _count_points(last: int | None, reached: mmap.mmap) -> None:
     write = os.write
 
     def cut(descriptor: int, data: bytes) -> int:
-        if descriptor > 2 and reach():
-            write(descriptor, data[: len(data) // 2])
-            end()
-        return write(descriptor, data)
+        if not reach():
+            return write(descriptor, data)
+        half = write(descriptor, data[: len(data) // 2])
+        visit_here()
+        return half + write(descriptor, data[half:])
 
     os.write = counted(cut, lambda descriptor, _: descriptor > 2)
 
@@ -208,15 +252,17 @@ def main() -> int:
     parser.add_argument("--command", action="append", choices=list(COMMANDS), help="only these commands")
     parser.add_argument("--sample", type=int, help="number of points of each command; all if not given")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--copies", action="store_true", help="copy the files at each point of one run: no kills")
     options = parser.parse_args()
     wrong = 0
     for name in options.command or COMMANDS:
         command, make = COMMANDS[name]
         with tempfile.TemporaryDirectory() as folder, stopped_clocks():
             kills, points, differences = kill_everywhere(
-                command, make, Path(folder), sample=options.sample, seed=options.seed
+                command, make, Path(folder), sample=options.sample, seed=options.seed, copies=options.copies
             )
-        print(f"{name}: killed at {kills} of {points} points, {len(differences)} differences", flush=True)
+        how = "copied" if options.copies else "killed"
+        print(f"{name}: {how} at {kills} of {points} points, {len(differences)} differences", flush=True)
         for difference in differences:
             print(f"  point {difference.point}: {', '.join(difference.files)}", flush=True)
         wrong += len(differences)

@@ -5,6 +5,7 @@ Each command is killed at a sample of its points; `python tests/kills/harness.py
 
 from __future__ import annotations
 
+import os
 import zlib
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def test_the_same_command_finishes_the_work(tmp_path: Path, name: str, sample: i
     assert points >= least
 
 
-def test_the_harness_finds_stray_and_different_files(tmp_path: Path) -> None:
+@pytest.mark.parametrize("copies", [False, True])
+def test_the_harness_finds_stray_and_different_files(tmp_path: Path, copies: bool) -> None:
     def command(folder: Path) -> None:
         if (folder / "begun").exists():  # Nothing removes this after a kill.
             (folder / "stray").write_text("x")
@@ -43,7 +45,23 @@ def test_the_harness_finds_stray_and_different_files(tmp_path: Path) -> None:
         (folder / "begun").unlink()
         (folder / "whole").write_text("x")
 
-    kills, points, differences = kill_everywhere(command, nothing, tmp_path)
+    kills, points, differences = kill_everywhere(command, nothing, tmp_path, copies=copies)
     # Creating begun, removing it, and creating whole are two points each.
     assert (kills, points) == (6, 6)
     assert differences == [Difference(point, ("stray",)) for point in (1, 2)]
+
+
+@pytest.mark.parametrize("copies", [False, True])
+def test_the_harness_cuts_writes(tmp_path: Path, copies: bool) -> None:
+    def command(folder: Path) -> None:
+        path = folder / "lines"
+        kept = path.read_bytes() if path.exists() else b""
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+        if kept != b"whole":
+            os.write(descriptor, b"whole")
+        os.close(descriptor)
+
+    kills, points, differences = kill_everywhere(command, nothing, tmp_path, copies=copies)
+    # Before and after the file is created; before, amid and after the write.
+    assert (kills, points) == (5, 5)
+    assert differences == [Difference(3, ("lines",))]

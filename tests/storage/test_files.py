@@ -122,7 +122,7 @@ def nth_rename_refuses(count: int) -> Callable[..., None]:
     return wrapped
 
 
-@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_failed_swap_leaves_the_old_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "old").write_text("old")
@@ -131,6 +131,43 @@ def test_a_failed_swap_leaves_the_old_folder(tmp_path: Path, monkeypatch: pytest
         (folder / "new").write_text("new")
     assert (tmp_path / "out" / "old").read_text() == "old"
     assert everything_in(tmp_path) == {"out", "out/old"}
+
+
+def test_a_folder_that_another_process_fills_meanwhile_is_kept(tmp_path: Path) -> None:
+    def fill() -> None:
+        with files.new_folder(tmp_path / "out") as folder:
+            (folder / "mine").touch()
+            (tmp_path / "out").mkdir()
+            (tmp_path / "out" / "theirs").touch()
+
+    with pytest.raises(ResultError, match="another process has just written it"):
+        fill()
+    assert everything_in(tmp_path) == {"out", "out/theirs"}
+
+
+@pytest.mark.parametrize("moment", ["before it is moved aside", "after it is moved aside"])
+def test_a_folder_that_another_process_replaces_meanwhile_is_replaced_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    rename, path, met = os.rename, tmp_path / "out", []
+
+    def wrapped(source: Path, target: Path) -> None:
+        if moment.startswith("before") and source == path and not met:
+            met.append(moment)
+            rename(path, tmp_path / "elsewhere")
+        elif moment.startswith("after") and target == path and not path.exists() and not met:
+            met.append(moment)
+            path.mkdir()
+            (path / "theirs").touch()
+        rename(source, target)
+
+    path.mkdir()
+    (path / "old").touch()
+    monkeypatch.setattr(os, "rename", wrapped)
+    with files.new_folder(path, replace=True) as folder:
+        (folder / "mine").touch()
+    assert met == [moment]
+    assert everything_in(tmp_path) - {"elsewhere", "elsewhere/old"} == {"out", "out/mine"}
 
 
 def test_a_failed_parent_removes_the_parents_created_before_it(
@@ -151,7 +188,7 @@ def test_a_failed_parent_removes_the_parents_created_before_it(
 
 def test_impossible_paths_are_storage_errors(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    for path in (tmp_path / "file" / "out", tmp_path / ("n" * 300)):
+    for path in (tmp_path / "file" / "out", tmp_path / ("n" * 300), tmp_path / "a\0b", tmp_path / "\ud800"):
         with pytest.raises(StorageError, match="cannot write"), files.new_folder(path):
             pytest.fail("must not get here")
     assert everything_in(tmp_path) == {"file"}

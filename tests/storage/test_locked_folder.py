@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import multiprocessing
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from objectflow.errors import ResultError, StorageError
+from objectflow.storage import files
 from objectflow.storage.locked_folder import SETTINGS, FolderKind, is_unused, locked_folder, read_settings
 
 KIND = FolderKind(ResultError, "a test", "is no test", "another test runs there", "folder")
@@ -49,6 +51,7 @@ def test_an_empty_folder_is_used_without_a_check(tmp_path: Path) -> None:
     [
         (None, "out exists and is no test: name another folder"),
         ("{", r"settings\.json: cannot be read"),
+        ("[" * 100_000, r"settings\.json: cannot be read: nested too deeply"),
         ("[1]", r"settings\.json: not the settings of a test"),
         (json.dumps({"a": 2}), "other settings"),
     ],
@@ -88,6 +91,25 @@ def test_one_process_holds_a_folder(tmp_path: Path) -> None:
         other.join()
     with opened(tmp_path):  # the lock ended with the killed process
         pass
+
+
+def test_of_two_processes_that_create_a_folder_at_once_one_holds_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, write = tmp_path / "out", files.write_text
+    with ExitStack() as other:
+
+        def write_late(target: Path, text: str) -> None:
+            monkeypatch.setattr(files, "write_text", write)
+            other.enter_context(opened(path))  # the other one is faster
+            write(target, text)
+
+        monkeypatch.setattr(files, "write_text", write_late)
+        with pytest.raises(ResultError, match="another test runs there"), opened(path):
+            pytest.fail("must not get here")
+        (path / "work").touch()
+        assert sorted(file.name for file in path.iterdir()) == [SETTINGS, "work"]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_disk_that_refuses_inside_is_a_storage_error(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def open_source(
         color_topic, depth_topic: required where a bag has several.
 
     Raises:
-        ReaderError: the folder does not exist or holds no frames, there is no camera, or topics are given for a path
+        ReaderError: the path does not exist or holds no frames, there is no camera, or topics are given for a path
             that is not a bag.
         MissingExtraError: the library that the kind needs is not installed.
         CameraError: the camera file lacks intrinsics or holds invalid ones.
@@ -83,6 +83,8 @@ def open_source(
     for detect, open_kind in kinds:
         if detect(path):
             return open_kind(path, options)
+    if path.exists() and not path.is_dir():
+        raise ReaderError(f"{path}: not a folder or a known recording")
     if not path.is_dir():
-        raise ReaderError(f"{path}: {'not a folder or a known recording' if path.exists() else 'no such folder'}")
+        raise ReaderError(f"{path}: no such {'file or folder' if path.suffix else 'folder'}")
     return open_folder(path, options)

@@ -57,12 +57,14 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
             that its content may be deleted.
 
     Raises:
-        ResultError: `path` is a file, or a folder with content and `replace` is false.
+        ResultError: `path` is a file, or a folder with content and `replace` is false; also if another process fills
+            it meanwhile.
         StorageError: reading or writing failed.
     """
     path = Path(path)
     made_parents: list[Path] = []
     temporary: Temporary | None = None
+    _check_name(path)
     try:
         if path.exists() and not path.is_dir():
             raise ResultError(f"{path} is a file, not a folder: name another output folder")
@@ -73,7 +75,7 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         yield temporary.path
         for file in temporary.path.rglob("*"):
             _fsync_file(file)
-        _swap_in(temporary.path, path)
+        _swap_in(temporary.path, path, replace=replace)
         temporary.release()
     except BaseException as error:
         if temporary is not None:
@@ -87,24 +89,41 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         raise
 
 
-def _swap_in(temporary: Path, path: Path) -> None:
-    """Rename `temporary` to `path`; an existing folder is kept until the new one is in place."""
-    if not (path.is_dir() and any(path.iterdir())):
-        os.rename(temporary, path)
-        _fsync_folder(path.parent)
-        return
-    aside = temporary_folder(path.parent, ASIDE)
-    old = aside.path / path.name
+def _swap_in(temporary: Path, path: Path, *, replace: bool) -> None:
+    """Rename `temporary` to `path`; an existing folder is kept until the new one is in place.
+
+    Raises:
+        ResultError: another process has filled `path` meanwhile, and `replace` is false.
+    """
+    while not _renamed(temporary, path):
+        if not replace:
+            raise ResultError(f"{path} exists and is not empty: another process has just written it")
+        aside = temporary_folder(path.parent, ASIDE)
+        old = aside.path / path.name
+        try:
+            with suppress(FileNotFoundError):  # another process is replacing it too
+                os.rename(path, old)
+            if _renamed(temporary, path):
+                _fsync_folder(path.parent)
+                return
+        except BaseException:
+            if old.is_dir() and not path.exists():
+                os.rename(old, path)
+            raise
+        finally:
+            aside.remove()
+    _fsync_folder(path.parent)
+
+
+def _renamed(temporary: Path, path: Path) -> bool:
+    """Rename a folder, unless `path` is a folder with content."""
     try:
-        os.rename(path, old)
         os.rename(temporary, path)
-        _fsync_folder(path.parent)
-    except BaseException:
-        if old.is_dir() and not path.exists():
-            os.rename(old, path)
-        aside.remove()
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            return False
         raise
-    aside.remove()
+    return True
 
 
 def remove_folder(path: Path) -> None:
@@ -121,6 +140,16 @@ def remove_folder(path: Path) -> None:
             temporary.remove()
     except OSError as error:
         raise StorageError(f"cannot remove {path}: {error.strerror or error}") from error
+
+
+def _check_name(path: Path) -> None:
+    """Refuse a path that no file can have: the functions of `os` raise ValueError for it, as others do for data."""
+    try:
+        if b"\0" not in os.fsencode(path):
+            return
+    except UnicodeEncodeError:  # a lone surrogate
+        pass
+    raise StorageError(f"cannot write {path}: no file can have this name")
 
 
 def _make_parents(folder: Path, made: list[Path]) -> None:

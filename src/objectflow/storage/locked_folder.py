@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from objectflow.errors import ObjectflowError, StorageError
+from objectflow.errors import ObjectflowError, ResultError, StorageError
 from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors
 from objectflow.storage.temporaries import sweep
 
 SETTINGS = "settings.json"
@@ -49,11 +50,12 @@ def read_settings(path: Path, kind: FolderKind) -> dict[str, Any]:
     """
     file = path / SETTINGS
     try:
-        settings = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise kind.error(f"{path} exists and {kind.foreign}: name another {kind.target}") from None
-    except (OSError, ValueError) as error:
-        raise kind.error(f"{file}: cannot be read: {error}") from error
+        with foreign_errors(kind.error, f"{file}: cannot be read"):
+            settings = json.loads(files.read_bytes(file))
+    except kind.error as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            raise kind.error(f"{path} exists and {kind.foreign}: name another {kind.target}") from None
+        raise
     if not isinstance(settings, dict):
         raise kind.error(f"{file}: not the settings of {kind.content}")
     return settings
@@ -80,10 +82,7 @@ def locked_folder(
     """
     try:
         sweep(path.parent)
-        if is_unused(path):
-            with files.new_folder(path) as folder:
-                files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
-        else:
+        if not _is_created(path, settings):
             check(read_settings(path, kind))
         with open(path / SETTINGS) as lock:
             try:
@@ -94,3 +93,17 @@ def locked_folder(
             yield
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _is_created(path: Path, settings: Mapping[str, Any]) -> bool:
+    """Create a folder with its settings, unless there is one with content."""
+    if not is_unused(path):
+        return False
+    try:
+        with files.new_folder(path) as folder:
+            files.write_text(folder / SETTINGS, json.dumps(settings, indent=2) + "\n")
+    except ResultError:
+        if is_unused(path):
+            raise
+        return False  # another process has just created it
+    return True
