@@ -210,14 +210,17 @@ def read_toml(path: Path) -> dict[str, Any]:
         SettingsError: no such file, one that cannot be read, or invalid TOML.
     """
     try:
+        if not path.is_file() and path.exists():
+            raise SettingsError(f"{path}: cannot be read: it is not a regular file")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise SettingsError(f"{path}: no such settings file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise SettingsError(f"{path}: cannot be read: {reason}") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"{path}: not valid TOML: {' '.join(str(error).split())}") from error
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{path}: cannot be read: not UTF-8 text") from error
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        raise SettingsError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def converted(value: Any, hint: Any, path: str) -> Any:

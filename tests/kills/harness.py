@@ -133,8 +133,16 @@ def copied(command: Command, make: Make, folder: Path, points: list[int]) -> Ite
     work, numbers = folder / "work", itertools.count()
     make(fresh(work))
 
+    found: dict[tuple[int, int, int, int], str] = {}
+
     def copy() -> None:
-        shutil.copytree(work, folder / "copies" / f"{next(numbers):04d}", symlinks=True)
+        shutil.copytree(work, folder / "copies" / f"{next(numbers):04d}", symlinks=True, copy_function=link)
+
+    def link(source: str, target: str) -> None:
+        """Copy a file, or link the copy of it that an earlier point made."""
+        status = os.stat(source)
+        known = found.setdefault((status.st_ino, status.st_mtime_ns, status.st_size, status.st_mode), target)
+        (shutil.copy2 if known == target else os.link)(source if known == target else known, target)
 
     code, _ = run_child(command, work, points.__contains__, copy)
     copies = sorted((folder / "copies").iterdir())

@@ -112,6 +112,28 @@ def test_of_two_processes_that_create_a_folder_at_once_one_holds_it(
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("content", [[], ["work"]])
+def test_a_new_folder_without_content_is_removed_after_an_error(tmp_path: Path, content: list[str]) -> None:
+    def fail() -> None:
+        with opened(tmp_path / "deep" / "out"):
+            for name in content:
+                (tmp_path / "deep" / "out" / name).touch()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fail()
+    left = sorted(path.name for path in tmp_path.rglob("*"))
+    assert left == (["deep", "out", SETTINGS, "work"] if content else [])
+
+
+def test_an_earlier_folder_stays_after_an_error(tmp_path: Path) -> None:
+    with opened(tmp_path / "out"):
+        pass
+    with pytest.raises(StorageError), opened(tmp_path / "out"):
+        raise OSError(28, "No space left on device")
+    assert (tmp_path / "out" / SETTINGS).is_file()
+
+
 def test_a_disk_that_refuses_inside_is_a_storage_error(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=r"cannot write .*: No space left"), opened(tmp_path):
         raise OSError(28, "No space left on device")

@@ -20,8 +20,9 @@ import torch
 from helpers.paths import HELPERS_ON_PATH
 from helpers.training_runs import RECIPE, checkpoint_tensors, job, write_set
 from objectflow.errors import TrainingError
+from objectflow.storage import files
+from objectflow.storage.files import remove_folder
 from objectflow.training.callbacks import Callback
-from objectflow.training.checkpoint import save_checkpoint
 from objectflow.training.loop import train
 
 
@@ -112,16 +113,22 @@ def test_killed_at_any_moment_and_resumed(data: Path, tmp_path: Path) -> None:
 def test_a_run_that_is_killed_after_its_last_checkpoint_is_complete(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, validation_pairs: int
 ) -> None:
-    recipe = dataclasses.replace(RECIPE, steps=2, validation_pairs=validation_pairs)
+    recipe = dataclasses.replace(
+        RECIPE, steps=2, validation_pairs=validation_pairs, checkpoint_minutes=0.0, keep_checkpoints=1, log_every=1
+    )
     train(job(data, tmp_path / "whole", recipe))
+    root = tmp_path / "killed" / "checkpoints"
 
-    def save_and_end(*values: Any, **options: Any) -> None:
-        save_checkpoint(*values, **options)
-        raise SystemExit
+    def end_before_removal(path: Path) -> None:
+        if len(list(root.iterdir())) == 2:  # both steps
+            raise SystemExit
+        remove_folder(path)
 
-    with monkeypatch.context() as patch, pytest.raises(SystemExit):
-        patch.setattr("objectflow.training.loop.save_checkpoint", save_and_end)
-        train(job(data, tmp_path / "killed", recipe))
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "remove_folder", end_before_removal)
+        with pytest.raises(SystemExit):
+            train(job(data, tmp_path / "killed", recipe))
+    assert len(list(root.iterdir())) == 2
     assert train(job(data, tmp_path / "killed", recipe, resume=True)).finished
     names = [sorted(str(path.relative_to(out)) for path in out.rglob("*")) for out in sorted(tmp_path.iterdir())]
     assert names[0] == names[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,6 +15,8 @@ import numpy as np
 from objectflow.errors import ReaderError, ResultError
 from objectflow.motion import SceneMotion
 from objectflow.readers import CameraOptions, FrameSource, open_source
+from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors, located_errors
 from objectflow.storage.image_files import read_image
 from objectflow.storage.locked_folder import SETTINGS, FolderKind
 from objectflow.tracking.model_files import INDEX, MODELS
@@ -66,16 +69,15 @@ def open_run_source(run: Path, source: Path | None, option: str) -> FrameSource:
         ResultError: the settings are damaged.
         ReaderError: the frames do not exist.
     """
-    try:
-        settings = json.loads((run / SETTINGS).read_text(encoding="utf-8"))
-        path, topics = Path(settings["source"]), settings.get("topics") or [None, None]
+    with located_errors(ResultError, f"{run / SETTINGS}: not the settings of a run"):
+        settings = json.loads(files.read_bytes(run / SETTINGS))
+        path = Path(settings["source"])
+        color_topic, depth_topic = settings.get("topics") or (None, None)
         options = _options(settings)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ResultError(f"{run / SETTINGS}: not the settings of a run: {error!r}") from error
     path = path if source is None else source
     if not path.exists():
         raise ReaderError(f"{path}: the run's frames do not exist any more: give their path by {option} SOURCE")
-    return open_source(path, options, color_topic=topics[0], depth_topic=topics[1])
+    return open_source(path, options, color_topic=color_topic, depth_topic=depth_topic)
 
 
 def read_tracks(run: Path) -> list[Track]:
@@ -85,23 +87,10 @@ def read_tracks(run: Path) -> list[Track]:
         ResultError: the file is missing or damaged.
     """
     path = run / TRACKS
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return [
-            Track(
-                int(one["id"]),
-                [float(time) for time in one["times"]],
-                [np.array(pose, dtype=np.float64).reshape(4, 4) for pose in one["world_T_object"]],
-                [int(label) for label in one["labels"]],
-                [float(score) for score in one["scores"]],
-                [float(time) for time in one["gaps"]],
-            )
-            for one in content["tracks"]
-        ]
-    except FileNotFoundError:
-        raise ResultError(f"{path} is missing: the run is not finished; the same `objectflow run` goes on") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ResultError(f"{path}: not the tracks of a run: {error!r}") from error
+    if not os.path.exists(path):
+        raise ResultError(f"{path} is missing: the run is not finished; the same `objectflow run` goes on")
+    with foreign_errors(ResultError, f"{path}: not the tracks of a run"):
+        return [_track(values) for values in json.loads(files.read_bytes(path))["tracks"]]
 
 
 def run_views(source: FrameSource, pairs: list[tuple[int, int, Path]]) -> Iterator[SequenceView]:
@@ -176,13 +165,28 @@ def registered_track(track: Track, index: dict[str, Any]) -> Track:
 
 
 def _read_table(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ResultError(f"{path}: cannot be read: {error}") from error
+    with foreign_errors(ResultError, f"{path}: cannot be read"):
+        content = json.loads(files.read_bytes(path))
     if not isinstance(content, dict):
         raise ResultError(f"{path}: not a file of a run")
     return content
+
+
+def _track(values: dict[str, Any]) -> Track:
+    track = Track(
+        int(values["id"]),
+        [float(time) for time in values["times"]],
+        [np.array(pose, dtype=np.float64).reshape(4, 4) for pose in values["world_T_object"]],
+        [int(label) for label in values["labels"]],
+        [float(score) for score in values["scores"]],
+        [float(time) for time in values["gaps"]],
+    )
+    lengths = {len(track.times), len(track.world_T_object), len(track.labels), len(track.scores)}
+    if len(lengths) > 1:
+        raise ValueError("its lists have different lengths")
+    if not all(np.isfinite(values).all() for values in (track.times, track.scores, track.gaps, *track.world_T_object)):
+        raise ValueError("it holds numbers that are not finite")
+    return track
 
 
 def _options(settings: dict[str, Any]) -> CameraOptions:

@@ -223,7 +223,7 @@ class Evaluation:
             StorageError: the file cannot be read.
         """
         try:
-            text = path.read_text(encoding="utf-8")
+            text = files.read_bytes(path).decode()
         except FileNotFoundError:
             raise DatasetError(f"{path}: no such file") from None
         except UnicodeDecodeError as error:

@@ -18,6 +18,8 @@ from objectflow.typing import Float64Array
 
 MAX_PIXELS = 64_000_000
 """Largest image of a camera, in pixels."""
+MAX_FILE_BYTES = 1 << 24
+"""Largest camera file, in bytes."""
 MAX_OFFSET = 20.0
 """Largest distance of the principal point from the origin, in image sizes."""
 
@@ -174,7 +176,12 @@ class Camera:
         """
         path = Path(path)
         try:
-            values = json.loads(path.read_text(encoding="utf-8"))
+            # A pipe would wait for its writer, and a device has no end.
+            if not path.is_file() and path.exists():
+                raise ReaderError(f"{path}: a camera file must be a regular file")
+            if path.stat().st_size > MAX_FILE_BYTES:
+                raise ReaderError(f"{path}: too large for a camera file (at most {MAX_FILE_BYTES >> 20} MiB)")
+            values = json.loads(path.read_bytes())
         except FileNotFoundError:
             raise ReaderError(f"{path}: no such camera file") from None
         except OSError as error:

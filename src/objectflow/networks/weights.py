@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, overload
@@ -148,6 +149,8 @@ def read_header(path: str | Path) -> tuple[Settings, dict[str, Any]]:
         MethodError: as `load_network`.
     """
     path = Path(path)
+    if not os.path.isfile(path):
+        raise _unreadable(path, FileNotFoundError())  # opening a pipe would wait for its writer
     try:
         with safetensors.safe_open(path, framework="pt") as file:
             entries = file.metadata() or {}
@@ -195,9 +198,9 @@ def check_network_settings(found: Settings, wanted: Settings, *, where: str) -> 
 
 
 def _unreadable(path: Path, error: Exception) -> MethodError:
-    if not path.exists():
+    if not os.path.exists(path):  # unlike the method of Path, false of a name that is too long or holds a NUL
         return MethodError(f"{path}: no such file")
-    if path.exists() and not path.is_file() and not path.is_dir():
+    if not path.is_file() and not path.is_dir():
         return MethodError(f"{path}: not a regular file")
     if path.is_dir():
         return MethodError(f"{path}: a folder, not a file of weights")

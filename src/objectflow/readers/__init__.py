@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,6 +74,8 @@ def open_source(
         FrameError: invalid depth scale.
     """
     path = Path(path)
+    if not os.path.exists(path):  # unlike the method of Path, false of a name that is too long or holds a NUL
+        raise ReaderError(f"{path}: no such {'file or folder' if path.suffix else 'folder'}")
     if is_bag_file(path) or (path.is_dir() and is_bag_folder(path)):
         from objectflow.readers.bag import open_bag
 
@@ -83,8 +86,6 @@ def open_source(
     for detect, open_kind in kinds:
         if detect(path):
             return open_kind(path, options)
-    if path.exists() and not path.is_dir():
-        raise ReaderError(f"{path}: not a folder or a known recording")
     if not path.is_dir():
-        raise ReaderError(f"{path}: no such {'file or folder' if path.suffix else 'folder'}")
+        raise ReaderError(f"{path}: not a folder or a known recording")
     return open_folder(path, options)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import struct
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from objectflow.errors import CameraError, ReaderError
 from objectflow.readers.camera_mappings import from_mapping
 from objectflow.readers.camera_values import CameraValues, from_matrix, number
+from objectflow.storage.archives import npy_array
 from objectflow.storage.array_files import is_npy
 from objectflow.storage.foreign import foreign_errors
 
@@ -75,7 +73,7 @@ def read_camera_file(path: Path) -> CameraValues:
     where = str(path)
     if is_npy(data):
         with foreign_errors(ReaderError, f"{path}: not an NPY file that can be read"):
-            values = np.load(io.BytesIO(data), allow_pickle=False)
+            values = npy_array(data)
         return CameraValues(*_from_numbers(values.ravel().tolist(), where))
     if path.suffix.lower() == ".bin":
         return _colmap_binary(data, where)
@@ -98,16 +96,16 @@ def read_camera_file(path: Path) -> CameraValues:
 
 
 def _read(path: Path) -> bytes:
-    if path.exists() and not path.is_file():
-        raise ReaderError(f"{path}: a camera file must be a regular file")
     try:
+        if not path.is_file() and path.exists():
+            raise ReaderError(f"{path}: a camera file must be a regular file")
         if path.stat().st_size > MAX_BYTES:
             raise ReaderError(f"{path}: too large for a camera file (at most {MAX_BYTES >> 20} MiB)")
         return path.read_bytes()
     except FileNotFoundError:
         raise ReaderError(f"{path}: no such camera file") from None
-    except OSError as error:
-        raise ReaderError(f"{path}: cannot be read: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a path with a NUL
+        raise ReaderError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _json(text: str, path: Path) -> Any:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,8 +66,14 @@ class CameraOptions:
     def __post_init__(self) -> None:
         for name in ("max_depth", "max_lag"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < float("inf"):
+            if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
                 raise ReaderError(f"{name} must be a positive number, not {value}")
+        if self.intrinsics is not None and not (
+            isinstance(self.intrinsics, Sequence)
+            and len(self.intrinsics) == 4
+            and all(isinstance(value, Real) for value in self.intrinsics)
+        ):
+            raise ReaderError(f"intrinsics must be four numbers, fx fy cx cy, not {self.intrinsics!r}")
 
     def to_dict(self) -> dict[str, Any]:
         """The options as JSON values, with an absolute path of the camera file."""

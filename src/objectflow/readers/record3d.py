@@ -36,7 +36,9 @@ METADATA = ("metadata", "metadata.json")
 SUFFIX = ".r3d"
 MAX_MEMBER_BYTES = 1 << 28
 """Largest member of an archive, in bytes when it is decompressed."""
-_FRAME = re.compile(r"rgbd/([0-9]+)\.(jpg|depth)")
+MAX_BLOCKS = 1 << 16
+"""Largest number of LZFSE blocks of a depth image; the encoder writes blocks of tens of kilobytes."""
+_FRAME = re.compile(r"rgbd/([0-9]{1,9})\.(jpg|depth)")
 
 
 def is_record3d(path: Path) -> bool:
@@ -136,7 +138,8 @@ def _open_archive(path: Path, options: CameraOptions) -> ArchiveSequence:
     given = _dict(values, path)
     found: dict[str, set[int]] = {"jpg": set(), "depth": set()}
     for name in names:
-        if match := _FRAME.fullmatch(name):
+        # The numbers of other names would not lead back to a member.
+        if (match := _FRAME.fullmatch(name)) and match[1] == str(int(match[1])):
             found[match[2]].add(int(match[1]))
     frames = tuple(sorted(found["jpg"] & found["depth"]))
     if len(frames) < 2:
@@ -149,9 +152,8 @@ def _open_archive(path: Path, options: CameraOptions) -> ArchiveSequence:
     depth_size = (given.get("dw", 192), given.get("dh", 256))
     if not all(isinstance(value, int) and 0 < value < 10_000 for value in depth_size):
         raise ReaderError(f"{path}: the metadata hold no valid size of depth (dw, dh)")
-    stamps = given.get("frameTimestamps")
-    known = stamps if isinstance(stamps, list) and all(isinstance(value, (int, float)) for value in stamps) else []
-    times = tuple(float(known[k]) if k < len(known) else None for k in frames)
+    known = _finite_numbers(given.get("frameTimestamps"))
+    times = tuple(known[k] if k < len(known) else None for k in frames)
     return ArchiveSequence(
         path,
         setup.camera if setup else camera.camera(camera.size, str(path)),
@@ -161,6 +163,17 @@ def _open_archive(path: Path, options: CameraOptions) -> ArchiveSequence:
         options.max_depth,
         (f"{alone} images without a counterpart left out",) if alone else (),
     )
+
+
+def _finite_numbers(values: Any) -> list[float]:
+    """A list of finite numbers; an empty list in place of anything else."""
+    if not isinstance(values, list) or not all(isinstance(value, (int, float)) for value in values):
+        return []
+    try:
+        numbers = [float(value) for value in values]
+    except OverflowError:
+        return []
+    return numbers if np.isfinite(numbers).all() else []
 
 
 def _decode_depth(data: bytes, size: tuple[int, int], name: str) -> Float32Array:
@@ -180,7 +193,10 @@ def _raw_bytes(data: bytes) -> int:
     The library decompresses without a limit. Source: lzfse_internal.h of https://github.com/lzfse/lzfse.
     """
     at = total = 0
-    while (magic := data[at : at + 4]) != b"bvx$":
+    for _ in range(MAX_BLOCKS):
+        magic = data[at : at + 4]
+        if magic == b"bvx$":
+            return total
         raw = struct.unpack_from("<I", data, at + 4)[0]
         if magic == b"bvx2":
             fields = struct.unpack_from("<3Q", data, at + 8)
@@ -194,7 +210,7 @@ def _raw_bytes(data: bytes) -> int:
             raise ValueError(f"unknown LZFSE block {magic!r}")
         total += raw
         at += max(length, 1)
-    return total
+    raise ValueError(f"more than {MAX_BLOCKS} LZFSE blocks")
 
 
 def _read_member(archive: zipfile.ZipFile, member: str, name: str) -> bytes:

@@ -18,12 +18,14 @@ import stat
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import MAX_PIXELS
 from objectflow.storage import array_files, coded_images, exr_files
+from objectflow.storage.foreign import foreign_errors
 from objectflow.typing import Float32Array, UInt8Array
 
 IMAGE_SUFFIXES = frozenset(
@@ -81,6 +83,20 @@ def read_color(path: Path) -> UInt8Array:
     if image.ndim == 2 or image.shape[2] == 1:
         image = np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
     return np.ascontiguousarray(image[..., :3], dtype=np.uint8)
+
+
+def read_photograph(path: Path) -> UInt8Array:
+    """Read an image that belongs to no depth as (H, W, 3) uint8 RGB, turned as its EXIF orientation states.
+
+    Raises:
+        ReaderError: the file is missing, broken or too large.
+    """
+    read_size(path)
+    with foreign_errors(ReaderError, f"{path}: not an image that can be decoded"):
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ReaderError(f"{path}: not an image that can be decoded")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
 def read_depth(path: Path) -> NDArray[Any]:

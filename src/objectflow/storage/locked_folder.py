@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,7 @@ def locked_folder(
     """Create an output folder or continue an earlier one, and hold it for this process.
 
     The lock ends with the process, however that ends. Temporaries that killed processes left in the folder and beside
-    it are removed.
+    it are removed. A new folder that holds nothing but its settings when an error ends the `with` block is removed.
 
     Args:
         path: the folder.
@@ -82,17 +83,35 @@ def locked_folder(
     """
     try:
         sweep(path.parent)
-        if not _is_created(path, settings):
+        parents = [parent for parent in path.parents if not parent.exists()]
+        is_new = _is_created(path, settings)
+        if not is_new:
             check(read_settings(path, kind))
         with open(path / SETTINGS) as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise kind.error(f"{path}: {kind.busy}: wait, or name another {kind.target}") from None
+                is_held = os.path.samestat(os.fstat(lock.fileno()), os.stat(path / SETTINGS))
+            except (BlockingIOError, FileNotFoundError):
+                is_held = False
+            if not is_held:
+                raise kind.error(f"{path}: {kind.busy}: wait, or name another {kind.target}")
             sweep(path)
-            yield
+            try:
+                yield
+            except BaseException:
+                if is_new and os.listdir(path) == [SETTINGS]:
+                    _remove(path, parents)
+                raise
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _remove(path: Path, parents: list[Path]) -> None:
+    """Remove a folder, and those of its parents that are empty."""
+    files.remove_folder(path)
+    for parent in parents:
+        with suppress(OSError):
+            parent.rmdir()
 
 
 def _is_created(path: Path, settings: Mapping[str, Any]) -> bool:

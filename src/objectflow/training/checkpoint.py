@@ -16,6 +16,8 @@ from objectflow.errors import TrainingError
 from objectflow.networks.kinds import Network
 from objectflow.networks.weights import load_network, save_weights
 from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors
+from objectflow.storage.serialize import from_plain
 from objectflow.training.ema import ExponentialMovingAverage
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
@@ -71,14 +73,23 @@ def save_checkpoint(
     with files.new_folder(path, replace=True) as folder:
         save_weights(folder / WEIGHTS, network, {"step": state.step})
         files.write_bytes(folder / STATE, safetensors.torch.save(tensors, {_KEY: header}))
-    for old in checkpoints(root)[:-keep]:
-        files.remove_folder(old)
+    remove_old_checkpoints(root, keep)
     return path
 
 
 def checkpoints(root: Path) -> list[Path]:
     """The checkpoints in a folder, by step."""
     return sorted(path for path in root.glob(f"{_PREFIX}*") if path.is_dir())
+
+
+def remove_old_checkpoints(root: Path, keep: int) -> None:
+    """Remove all but the last `keep` checkpoints of a folder.
+
+    Raises:
+        StorageError: one cannot be removed.
+    """
+    for old in checkpoints(root)[:-keep]:
+        files.remove_folder(old)
 
 
 def load_checkpoint(
@@ -93,16 +104,12 @@ def load_checkpoint(
     loaded, _ = load_network(path / WEIGHTS, settings=network.settings)
     network.load_state_dict(loaded.state_dict())
     file = path / STATE
-    try:
+    with foreign_errors(TrainingError, f"{file}: damaged: remove {path} to continue from the checkpoint before it"):
         with safetensors.safe_open(file, framework="pt") as opened:
             header = json.loads((opened.metadata() or {})[_KEY])
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 - not a mapping
         mean_steps = int(header.pop("mean_steps"))
-        state = TrainState(**header)
-    except (OSError, ValueError, KeyError, TypeError, safetensors.SafetensorError) as error:
-        raise TrainingError(
-            f"{file}: damaged: remove {path} to continue from the checkpoint before it: {error}"
-        ) from error
+        state = from_plain(TrainState, header)
     _fill_optimizer(file, network, optimizer, tensors)
     if average is not None:
         stored = {name[len(_AVERAGE) :]: value for name, value in tensors.items() if name.startswith(_AVERAGE)}

@@ -18,7 +18,13 @@ from objectflow.errors import TrainingError
 from objectflow.networks.weights import save_weights
 from objectflow.training.adapters import NetworkAdapter
 from objectflow.training.callbacks import Callback
-from objectflow.training.checkpoint import TrainState, checkpoints, load_checkpoint, save_checkpoint
+from objectflow.training.checkpoint import (
+    TrainState,
+    checkpoints,
+    load_checkpoint,
+    remove_old_checkpoints,
+    save_checkpoint,
+)
 from objectflow.training.curves import write_curve
 from objectflow.training.ema import ExponentialMovingAverage
 from objectflow.training.graceful_stop import GracefulStop
@@ -110,6 +116,8 @@ def train(job: TrainJob, callback: Callback | None = None) -> Outcome:
             state = load_checkpoint(found[-1], adapter.network, optimizer, average)
         if folder is not None:
             folder.cut(state.step)
+            # A run that was killed after its last checkpoint may have left one too many.
+            remove_old_checkpoints(folder.checkpoints, job.recipe.keep_checkpoints)
         callback = callback if callback is not None and process.first else Callback()
         stack.callback(callback.close)
         data_hash = " + ".join(one.sha256 for one in (manifest, *others))

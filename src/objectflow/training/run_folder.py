@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,7 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
         StorageError: the file cannot be read.
     """
     try:
-        text = (path / METRICS).read_text()
+        text = files.read_bytes(path / METRICS).decode(errors="replace")
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -76,9 +76,11 @@ def read_metrics(path: Path) -> list[dict[str, Any]]:
     lines = []
     for line in text.splitlines():
         try:
-            lines.append(dict(json.loads(line)))
-        except ValueError:
+            values = json.loads(line)
+        except (ValueError, RecursionError):
             continue  # torn by a power cut
+        if isinstance(values, dict) and isinstance(values.get("step"), int):
+            lines.append(values)
     return lines
 
 
@@ -107,7 +109,12 @@ def opened(path: Path, settings: Mapping[str, Any], *, resume: bool) -> Iterator
     with locked_folder(path, settings, TRAINING_FOLDER, check=check):
         (path / CHECKPOINTS).mkdir(exist_ok=True)
         sweep(path / CHECKPOINTS)
-        yield RunFolder(path)
+        try:
+            yield RunFolder(path)
+        except BaseException:
+            with suppress(OSError):  # it is kept once it holds a checkpoint
+                (path / CHECKPOINTS).rmdir()
+            raise
 
 
 def _check_same(path: Path, settings: Mapping[str, Any], earlier: Mapping[str, Any]) -> None:

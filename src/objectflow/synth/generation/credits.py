@@ -9,6 +9,7 @@ from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import read_models
 from objectflow.errors import DatasetError
 from objectflow.storage import files
+from objectflow.storage.foreign import foreign_errors
 
 FILE = "credits.json"
 """Name of the file in the mesh folder and in the data set: the path of each mesh within its folder -> its entry."""
@@ -32,10 +33,8 @@ def write_credits(out: Path, meshes: Path, manifest: Manifest) -> bool:
     path = meshes / FILE
     if not path.is_file():
         return False
-    try:
-        known = dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise DatasetError(f"{path} is not a JSON object of meshes and their credits: {error}") from error
+    with foreign_errors(DatasetError, f"{path} is not a JSON object of meshes and their credits"):
+        known = dict(json.loads(path.read_bytes()))
     used: set[str] = set()
     for part in manifest.parts.values():
         for shard in part.shards:

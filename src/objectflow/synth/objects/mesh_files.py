@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from objectflow.errors import DatasetError, MissingExtraError
+from objectflow.errors import DatasetError, MissingExtraError, ReaderError
+from objectflow.runtime.quiet import silence_stderr
+from objectflow.storage.foreign import foreign_errors
+from objectflow.storage.image_files import read_photograph
 from objectflow.typing import Float64Array, LabelImage, UInt8Array
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".gltf", ".off")
@@ -48,17 +52,18 @@ def read_mesh(path: Path) -> MeshFile:
         MissingExtraError: trimesh is not installed.
     """
     try:
-        import trimesh
+        import trimesh  # noqa: F401
     except ImportError as error:
         raise MissingExtraError("reading mesh files needs trimesh", "synth") from error
-    try:
-        scene = trimesh.load(path, force="scene", process=False)
-        geometries = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
-    except MemoryError:
-        raise
-    except Exception as error:  # any exception of the parser means that the file is invalid
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DatasetError(f"{path} is not a readable mesh ({reason}): repair or remove it") from error
+    with silence_stderr(), foreign_errors(DatasetError, f"{path} is not a readable mesh: repair or remove it"):
+        return _read(path)
+
+
+def _read(path: Path) -> MeshFile:
+    import trimesh
+
+    scene = trimesh.load(path, force="scene", process=False)
+    geometries = [g for g in scene.dump() if isinstance(g, trimesh.Trimesh) and len(g.faces)]
     if not geometries:
         raise DatasetError(f"{path} holds no triangles: repair or remove it")
     images = [_material_image(g, path) for g in geometries]
@@ -119,9 +124,8 @@ def _material_image(geometry: Any, path: Path) -> UInt8Array | None:
         return None
     color, image_path = _mtl_materials(path).get(str(getattr(material, "name", "")), (None, None))
     if image_path is not None:
-        image = cv2.imread(str(image_path), cv2.IMREAD_COLOR)
-        if image is not None:
-            return np.ascontiguousarray(image[..., ::-1]).astype(np.uint8)
+        with suppress(ReaderError):  # a mesh is usable without its texture
+            return read_photograph(image_path)
     embedded = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     if embedded is not None:
         return np.asarray(embedded.convert("RGB"), dtype=np.uint8)

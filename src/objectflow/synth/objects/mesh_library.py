@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import re
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,9 @@ import numpy as np
 
 from objectflow.errors import DatasetError, StorageError
 from objectflow.geometry.symmetry import SymmetryAxis
+from objectflow.storage.archives import read_archive
 from objectflow.storage.files import write_bytes, write_text
+from objectflow.storage.foreign import located_errors
 from objectflow.storage.temporaries import sweep
 from objectflow.synth.objects.convex_parts import coarse_hull, decompose, pack, unpack
 from objectflow.synth.objects.library import SPLIT_SIZES, check_split
@@ -155,20 +156,17 @@ class MeshLibrary:
             symmetry = detect_symmetry(vertices, faces)
             axes = np.array([[*axis.axis, axis.order] for axis in symmetry]).reshape(-1, 4)
             write_bytes(path, pack(parts, axes=axes))
-        try:
-            with np.load(path) as data:
-                parts = unpack(data)
-                axes = data["axes"]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise DatasetError(f"the cached file {path} is damaged: remove it and start again") from error
-        return parts, tuple(SymmetryAxis((float(x), float(y), float(z)), int(order)) for x, y, z, order in axes)
+        with located_errors(DatasetError, f"the cached file {path} is damaged: remove it and start again"):
+            data = read_archive(path)
+            axes = [SymmetryAxis((float(x), float(y), float(z)), int(order)) for x, y, z, order in data["axes"]]
+            return unpack(data), tuple(axes)
 
     def _find_broken(self, names: list[str]) -> dict[str, str]:
         """Defects by name. Files that are new or have changed since the last time are read; results are cached."""
         index = self.cache / f"folder-{hashlib.sha256(str(self.folder.resolve()).encode()).hexdigest()[:16]}.json"
         try:
             known = json.loads(index.read_text()) if index.is_file() else {}
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             known = {}  # a damaged index is only a lost cache: read the files again
         states: dict[str, list[Any]] = {}  # name -> [size, time of the last change, defect]
         for name in names:
@@ -192,7 +190,9 @@ def _find_defect(path: Path) -> str:
 
 def _mesh_files(folder: Path) -> list[ModelRef]:
     """All meshes in a folder, at any depth, sorted by name."""
-    shapenet = [path for path in folder.glob("*/*/models/*.obj") if re.fullmatch(r"\d{8}", path.parts[-4])]
+    shapenet = [
+        path for path in folder.glob("*/*/models/*.obj") if re.fullmatch(r"\d{8}", path.parts[-4]) and path.is_file()
+    ]
     if shapenet:
         pairs = [(SHAPENET_SYNSETS.get(path.parts[-4]), path) for path in shapenet]
         return sorted(ModelRef(kind, path.relative_to(folder).as_posix()) for kind, path in pairs if kind)

@@ -10,6 +10,9 @@ import cv2
 import numpy as np
 
 from objectflow.errors import DatasetError
+from objectflow.runtime.quiet import silence_stderr
+from objectflow.storage.foreign import located_errors
+from objectflow.storage.image_files import read_photograph
 from objectflow.synth.scenes.texture_patterns import PATTERNS
 from objectflow.typing import UInt8Array
 
@@ -75,11 +78,9 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def _read_image(path: Path, size: int) -> UInt8Array:
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise DatasetError(f"cannot read the texture {path}: is it an image?")
+    with silence_stderr(), located_errors(DatasetError, "cannot read the texture"):
+        image = read_photograph(path)
     side = min(image.shape[:2])
     # Area averaging, because the ray tracer has no mip maps and would alias a sharper image.
-    return cv2.cvtColor(
-        cv2.resize(image[:side, :side], (size, size), interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2RGB
-    ).astype(np.uint8)
+    resized = cv2.resize(image[:side, :side], (size, size), interpolation=cv2.INTER_AREA)
+    return np.asarray(resized, dtype=np.uint8)
