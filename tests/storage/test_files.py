@@ -140,9 +140,25 @@ def test_a_folder_that_another_process_fills_meanwhile_is_kept(tmp_path: Path) -
             (tmp_path / "out").mkdir()
             (tmp_path / "out" / "theirs").touch()
 
-    with pytest.raises(ResultError, match="another process has just written it"):
+    with pytest.raises(ResultError, match="exists and is not empty"):
         fill()
     assert everything_in(tmp_path) == {"out", "out/theirs"}
+
+
+def test_whether_a_folder_is_replaced_may_depend_on_what_is_found_at_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+
+    def fill(replace: Callable[[Path], bool]) -> None:
+        with files.new_folder(path, replace=replace) as folder:
+            (folder / "mine").touch()
+            path.mkdir(exist_ok=True)
+            (path / "theirs").touch()
+
+    with pytest.raises(ResultError, match="exists and is not empty"):
+        fill(lambda found: (found / "other").exists())
+    assert everything_in(tmp_path) == {"out", "out/theirs"}
+    fill(lambda found: (found / "theirs").exists())
+    assert everything_in(tmp_path) == {"out", "out/mine"}
 
 
 @pytest.mark.parametrize("moment", ["before it is moved aside", "after it is moved aside"])

@@ -52,7 +52,7 @@ def new_result(out: Path | None) -> Iterator[tuple[Path, Path]]:
     path = _dated_folder() if out is None else out
     check_not_below_a_file(path)
     sweep(path.parent)
-    with files.new_folder(path, replace=_is_result(path)) as temporary:
+    with files.new_folder(path, replace=_is_result) as temporary:
         yield temporary, path
     if out is None:
         link_latest(path)
@@ -152,8 +152,6 @@ def _moving_text(obj: ObjectMotion) -> str:
 
 def _is_result(path: Path) -> bool:
     """Whether a folder contains a result and nothing else, so that it may be replaced."""
-    if not path.is_dir():
-        return False
     names = {file.name for file in path.iterdir()}
     known = {name for name in names if name == COCO or re.fullmatch(r"points_\d+\.ply", name)}
     return "objects.json" in names and names <= RESULT_FILES | known

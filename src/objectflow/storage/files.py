@@ -6,7 +6,7 @@ import errno
 import hashlib
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -48,13 +48,14 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def new_folder(path: Path, *, replace: bool | Callable[[Path], bool] = False) -> Iterator[Path]:
     """Yield a temporary folder to fill; rename it to `path` at the end, or remove it on failure.
 
     Args:
         path: the folder to create. It may exist if it is empty.
-        replace: whether an existing folder with content is removed once the new one is in place. The caller checks
-            that its content may be deleted.
+        replace: whether an existing folder with content is removed once the new one is in place; or a function that
+            tells it from the folder, called at the start and again before the folder is replaced. The caller sees to
+            it that the content may be deleted.
 
     Raises:
         ResultError: `path` is a file, or a folder with content and `replace` is false; also if another process fills
@@ -68,8 +69,8 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
     try:
         if path.exists() and not path.is_dir():
             raise ResultError(f"{path} is a file, not a folder: name another output folder")
-        if path.is_dir() and not replace and any(path.iterdir()):
-            raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
+        if path.is_dir() and any(path.iterdir()):
+            _check_replaceable(path, replace)
         _make_parents(path.parent, made_parents)
         temporary = temporary_folder(path.parent)
         yield temporary.path
@@ -89,19 +90,24 @@ def new_folder(path: Path, *, replace: bool = False) -> Iterator[Path]:
         raise
 
 
-def _swap_in(temporary: Path, path: Path, *, replace: bool) -> None:
+def _check_replaceable(path: Path, replace: bool | Callable[[Path], bool]) -> None:
+    if not (replace(path) if callable(replace) else replace):
+        raise ResultError(f"{path} exists and is not empty: name another output folder, or remove it")
+
+
+def _swap_in(temporary: Path, path: Path, *, replace: bool | Callable[[Path], bool]) -> None:
     """Rename `temporary` to `path`; an existing folder is kept until the new one is in place.
 
     Raises:
-        ResultError: another process has filled `path` meanwhile, and `replace` is false.
+        ResultError: `path` has content that may not be removed; another process may have written it meanwhile.
     """
     while not _renamed(temporary, path):
-        if not replace:
-            raise ResultError(f"{path} exists and is not empty: another process has just written it")
+        with suppress(FileNotFoundError):  # another process is replacing it too
+            _check_replaceable(path, replace)
         aside = temporary_folder(path.parent, ASIDE)
         old = aside.path / path.name
         try:
-            with suppress(FileNotFoundError):  # another process is replacing it too
+            with suppress(FileNotFoundError):
                 os.rename(path, old)
             if _renamed(temporary, path):
                 _fsync_folder(path.parent)
