@@ -186,6 +186,18 @@ def test_a_folder_that_another_process_replaces_meanwhile_is_replaced_again(
     assert everything_in(tmp_path) - {"elsewhere", "elsewhere/old"} == {"out", "out/mine"}
 
 
+def test_a_link_is_replaced_on_request_and_its_target_stays(tmp_path: Path) -> None:
+    (tmp_path / "target").mkdir()
+    (tmp_path / "target" / "old").touch()
+    (tmp_path / "out").symlink_to("target")
+    with pytest.raises(ResultError, match="exists and is not empty"), files.new_folder(tmp_path / "out"):
+        pytest.fail("must not get here")
+    with files.new_folder(tmp_path / "out", replace=True) as folder:
+        (folder / "new").touch()
+    assert everything_in(tmp_path) == {"out", "out/new", "target", "target/old"}
+    assert not (tmp_path / "out").is_symlink()
+
+
 def test_a_failed_parent_removes_the_parents_created_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

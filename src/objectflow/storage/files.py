@@ -122,11 +122,11 @@ def _swap_in(temporary: Path, path: Path, *, replace: bool | Callable[[Path], bo
 
 
 def _renamed(temporary: Path, path: Path) -> bool:
-    """Rename a folder, unless `path` is a folder with content."""
+    """Rename a folder, unless `path` is a folder with content or a link."""
     try:
         os.rename(temporary, path)
     except OSError as error:
-        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST) or path.is_symlink():
             return False
         raise
     return True

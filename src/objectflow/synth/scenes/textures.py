@@ -9,9 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from objectflow.errors import DatasetError
+from objectflow.errors import DatasetError, ReaderError
 from objectflow.runtime.quiet import silence_stderr
-from objectflow.storage.foreign import located_errors
 from objectflow.storage.image_files import read_photograph
 from objectflow.synth.scenes.texture_patterns import PATTERNS
 from objectflow.typing import UInt8Array
@@ -78,8 +77,11 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def _read_image(path: Path, size: int) -> UInt8Array:
-    with silence_stderr(), located_errors(DatasetError, "cannot read the texture"):
-        image = read_photograph(path)
+    try:
+        with silence_stderr():
+            image = read_photograph(path)
+    except ReaderError as error:
+        raise DatasetError(f"cannot read the texture {path}: {str(error).removeprefix(f'{path}: ')}") from error
     side = min(image.shape[:2])
     # Area averaging, because the ray tracer has no mip maps and would alias a sharper image.
     resized = cv2.resize(image[:side, :side], (size, size), interpolation=cv2.INTER_AREA)
