@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import struct
 import zipfile
@@ -24,7 +25,7 @@ from objectflow.networks.weights import load_network
 from objectflow.readers import CameraOptions, open_source
 from objectflow.readers.camera_files import read_camera_file
 from objectflow.settings import read_toml
-from objectflow.storage.image_files import read_photograph
+from objectflow.storage.image_files import read_depth, read_photograph, read_size
 from objectflow.synth.objects.mesh_files import read_mesh
 from objectflow.synth.scenes.textures import TextureSpec, draw_texture
 from objectflow.training.run_folder import read_metrics
@@ -155,6 +156,24 @@ def test_odd_recordings_of_record3d(tmp_path: Path) -> None:
     source = open_source(write_r3d(tmp_path / "a.r3d", json.dumps(RECORD3D), names, BLOCK * 100_000))
     with pytest.raises(ReaderError, match="LZFSE blocks"):
         source[0]
+
+
+def test_small_files_of_images_that_need_gigabytes(tmp_path: Path) -> None:
+    """Images of 60 megapixels with 32 bytes each, of which only the headers are here."""
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {"shape": (7500, 8000, 4), "fortran_order": False, "descr": np.dtype(np.float64).str}
+    )
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("depth.npy", b"\x93NUMPY\x01\x00" + header.getvalue().removeprefix(b"\x93NUMPY\x01\x00"))
+    # Width, height, bits of each sample, and samples of each pixel.
+    tags = [(256, 8000), (257, 7500), (258, 64), (277, 4)]
+    entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in tags)
+    (tmp_path / "a.tiff").write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + entries + bytes(4))
+    for name in ("a.npz", "a.tiff"):
+        for read in (read_size, read_depth):
+            with pytest.raises(ReaderError, match="too large for an image"):
+                read(tmp_path / name)
 
 
 def test_odd_meshes_and_textures(tmp_path: Path) -> None:

@@ -18,6 +18,8 @@ from objectflow.typing import Float64Array
 
 MAX_PIXELS = 64_000_000
 """Largest image of a camera, in pixels."""
+MAX_IMAGE_BYTES = 8 * MAX_PIXELS
+"""Largest image in memory, in bytes: colour of 4 channels has 16 bits each, and depth of one channel has 64 bits."""
 MAX_FILE_BYTES = 1 << 24
 """Largest camera file, in bytes."""
 MAX_OFFSET = 20.0

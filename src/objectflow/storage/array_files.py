@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from pathlib import Path
 from typing import IO, Any
@@ -11,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
+from objectflow.geometry.camera import MAX_IMAGE_BYTES
 from objectflow.storage.foreign import foreign_errors
 
-MAX_CHANNELS = 4
-"""Largest number of channels of an image."""
 MAX_HEADER_BYTES = 1 << 16
 """Longest header of an NPY file, in bytes."""
 
@@ -76,10 +76,9 @@ def decode_npz(data: bytes, path: Path, names: tuple[str, ...]) -> NDArray[Any]:
         zipfile.ZipFile(io.BytesIO(data)) as archive,
         archive.open(_member(archive, path, names)) as member,
     ):
-        # The header bounds the size of the array; a longer member is not read beyond it.
-        width, height = npy_size(member, path)
+        npy_size(member, path)  # checks the size that the header declares; a longer member is not read beyond it
         member.seek(0)
-        return decode_npy(member.read(width * height * MAX_CHANNELS * 8 + MAX_HEADER_BYTES), path)
+        return decode_npy(member.read(MAX_IMAGE_BYTES + MAX_HEADER_BYTES), path)
 
 
 def image_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -104,3 +103,7 @@ def _check_array(shape: tuple[int, ...], dtype: np.dtype[Any], path: Path) -> No
     image = image_shape(shape)
     if len(image) not in (2, 3) or (len(image) == 3 and image[2] not in (1, 3, 4)):
         raise ReaderError(f"{path}: an array of shape {shape} is neither a colour nor a depth image")
+    if math.prod(shape) * dtype.itemsize > MAX_IMAGE_BYTES:
+        raise ReaderError(
+            f"{path}: too large for an image: {shape} {dtype} (at most {MAX_IMAGE_BYTES // 1_000_000} MB)"
+        )

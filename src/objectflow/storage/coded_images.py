@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
-from objectflow.geometry.camera import MAX_PIXELS
+from objectflow.geometry.camera import MAX_IMAGE_BYTES, MAX_PIXELS
 from objectflow.storage.foreign import foreign_errors
 
 PNG_START = b"\x89PNG\r\n\x1a\n"
@@ -35,7 +35,7 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
         if file.read(4) in _TIFF_STARTS:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # damaged tags that are not needed
-                return _tiff_size(file)
+                return _tiff_size(file, path)
         file.seek(0)
         try:
             with warnings.catch_warnings():
@@ -51,7 +51,7 @@ def coded_size(file: IO[bytes], path: Path) -> tuple[int, int]:
             ) from None
 
 
-def _tiff_size(file: IO[bytes]) -> tuple[int, int]:
+def _tiff_size(file: IO[bytes], path: Path) -> tuple[int, int]:
     """The (width, height) of a TIFF; `Image.open` refuses pixel types that OpenCV decodes, such as float64."""
     from PIL import TiffImagePlugin
 
@@ -60,7 +60,11 @@ def _tiff_size(file: IO[bytes]) -> tuple[int, int]:
     directory = TiffImagePlugin.ImageFileDirectory_v2(header + (file.read(8) if header[2:3] == b"+" else b""))
     file.seek(directory.next)
     directory.load(file)
-    return int(directory[TiffImagePlugin.IMAGEWIDTH]), int(directory[TiffImagePlugin.IMAGELENGTH])
+    width, height = int(directory[TiffImagePlugin.IMAGEWIDTH]), int(directory[TiffImagePlugin.IMAGELENGTH])
+    bits = max(directory.get(TiffImagePlugin.BITSPERSAMPLE, (1,)))
+    if width * height * bits * int(directory.get(TiffImagePlugin.SAMPLESPERPIXEL, 1)) > 8 * MAX_IMAGE_BYTES:
+        raise ReaderError(f"{path}: too large for an image (at most {MAX_IMAGE_BYTES // 1_000_000} MB)")
+    return width, height
 
 
 def check_complete(data: bytes, path: Path | str) -> None:
