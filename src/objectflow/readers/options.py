@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import Camera, check_depth_scale
@@ -15,6 +16,8 @@ from objectflow.readers.camera_files import find_camera_file, read_camera_file
 from objectflow.readers.camera_values import CameraValues, check_upright
 from objectflow.readers.lens import Lens
 
+NUMBERS = (int, float, np.integer, np.floating)
+"""Types of the numbers that callers may give."""
 DEFAULT_DEPTH_SCALE = 1000.0
 """Default units per metre of integer depth; most depth cameras write millimetres."""
 
@@ -66,12 +69,12 @@ class CameraOptions:
     def __post_init__(self) -> None:
         for name in ("max_depth", "max_lag"):
             value = getattr(self, name)
-            if value is not None and not (isinstance(value, Real) and 0 < value < float("inf")):
+            if value is not None and not (isinstance(value, NUMBERS) and 0 < value < float("inf")):
                 raise ReaderError(f"{name} must be a positive number, not {value}")
         if self.intrinsics is not None and not (
             isinstance(self.intrinsics, Sequence)
             and len(self.intrinsics) == 4
-            and all(isinstance(value, Real) for value in self.intrinsics)
+            and all(isinstance(value, NUMBERS) for value in self.intrinsics)
         ):
             raise ReaderError(f"intrinsics must be four numbers, fx fy cx cy, not {self.intrinsics!r}")
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
-from objectflow.geometry.camera import MAX_IMAGE_BYTES
+from objectflow.geometry.camera import MAX_IMAGE_BYTES, MAX_PIXELS
 from objectflow.storage.foreign import foreign_errors
 
 MAX_HEADER_BYTES = 1 << 16
@@ -103,7 +103,8 @@ def _check_array(shape: tuple[int, ...], dtype: np.dtype[Any], path: Path) -> No
     image = image_shape(shape)
     if len(image) not in (2, 3) or (len(image) == 3 and image[2] not in (1, 3, 4)):
         raise ReaderError(f"{path}: an array of shape {shape} is neither a colour nor a depth image")
-    if math.prod(shape) * dtype.itemsize > MAX_IMAGE_BYTES:
+    # An image of too many pixels is refused by its caller, with their number.
+    if min(math.prod(image[:2]), MAX_PIXELS) * math.prod(image[2:]) * dtype.itemsize > MAX_IMAGE_BYTES:
         raise ReaderError(
             f"{path}: too large for an image: {shape} {dtype} (at most {MAX_IMAGE_BYTES // 1_000_000} MB)"
         )

@@ -61,8 +61,9 @@ def _tiff_size(file: IO[bytes], path: Path) -> tuple[int, int]:
     file.seek(directory.next)
     directory.load(file)
     width, height = int(directory[TiffImagePlugin.IMAGEWIDTH]), int(directory[TiffImagePlugin.IMAGELENGTH])
-    bits = max(directory.get(TiffImagePlugin.BITSPERSAMPLE, (1,)))
-    if width * height * bits * int(directory.get(TiffImagePlugin.SAMPLESPERPIXEL, 1)) > 8 * MAX_IMAGE_BYTES:
+    bits = max(directory.get(TiffImagePlugin.BITSPERSAMPLE, (1,))) * directory.get(TiffImagePlugin.SAMPLESPERPIXEL, 1)
+    # An image of too many pixels is refused by the caller, with their number.
+    if min(width * height, MAX_PIXELS) * bits > 8 * MAX_IMAGE_BYTES:
         raise ReaderError(f"{path}: too large for an image (at most {MAX_IMAGE_BYTES // 1_000_000} MB)")
     return width, height
 

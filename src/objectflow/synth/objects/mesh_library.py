@@ -158,8 +158,8 @@ class MeshLibrary:
             write_bytes(path, pack(parts, axes=axes))
         with located_errors(DatasetError, f"the cached file {path} is damaged: remove it and start again"):
             data = read_archive(path)
-            axes = [SymmetryAxis((float(x), float(y), float(z)), int(order)) for x, y, z, order in data["axes"]]
-            return unpack(data), tuple(axes)
+            rows = data["axes"]
+            return unpack(data), tuple(SymmetryAxis((float(x), float(y), float(z)), int(n)) for x, y, z, n in rows)
 
     def _find_broken(self, names: list[str]) -> dict[str, str]:
         """Defects by name. Files that are new or have changed since the last time are read; results are cached."""
