@@ -184,7 +184,8 @@ def _track(values: dict[str, Any]) -> Track:
     lengths = {len(track.times), len(track.world_T_object), len(track.labels), len(track.scores)}
     if len(lengths) > 1:
         raise ValueError("its lists have different lengths")
-    if not all(np.isfinite(values).all() for values in (track.times, track.scores, track.gaps, *track.world_T_object)):
+    poses = [pose.ravel() for pose in track.world_T_object]
+    if not np.isfinite(np.concatenate([track.times, track.scores, track.gaps, *poses])).all():
         raise ValueError("it holds numbers that are not finite")
     return track
 
