@@ -275,6 +275,18 @@ def test_saved_weights_load_as_the_same_network(tmp_path: Path) -> None:
     assert all(torch.equal(value, expected[name]) for name, value in found.state_dict().items())
 
 
+def test_the_number_of_queries_and_the_radius_of_seeds_can_be_set(tmp_path: Path) -> None:
+    path = save_rigid(tmp_path / "w.safetensors")
+    chosen = objectflow.load("rigidmatch", weights=path, queries=7, seed_radius=0.2)
+    assert (chosen.network.settings.queries, chosen.network.settings.seed_radius) == (7, 0.2)
+    scene = analytic.make_scene(0)
+    output, _ = chosen.predict([scene.prev.resized(64, 48)], [scene.curr.resized(64, 48)])
+    assert output.objectness.shape[2] == 7
+    assert objectflow.load("rigidmatch", weights=path).network.settings == TINY_RIGID
+    with pytest.raises(SettingsError, match="queries must be at least 1"):
+        objectflow.load("rigidmatch", weights=path, queries=0)
+
+
 def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_path: Path) -> None:
     pair = analytic.make_scene(0, objects=(2, 4), motion=(0.005, 0.015), max_angle_deg=6)
     made, path = network(), tmp_path / "w.safetensors"

@@ -35,8 +35,10 @@ from objectflow.methods.rigidmatch.decoding import (
     select,
 )
 from objectflow.motion import SceneMotion
-from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
-from objectflow.networks.weights import load_network
+from objectflow.networks.kinds import Settings as NetworkSettings
+from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput, RigidMatchSettings
+from objectflow.networks.rigidmatch.settings import MOST
+from objectflow.networks.weights import load_network, read_header
 from objectflow.runtime.devices import find_device
 from objectflow.settings import setting
 
@@ -55,6 +57,10 @@ class RigidMatchConfig(CompensationConfig):
     steps of `postprocess` follow."""
     device: str = "auto"
     """auto, cpu, cuda or cuda:N."""
+    queries: int | None = setting(None, minimum=1, maximum=MOST["queries"])
+    """Number of queries of the network; by default that of the weights. More find more of many objects."""
+    seed_radius: float | None = setting(None, above=0)
+    """Metres in trajectory space within which a query suppresses others; by default that of the weights."""
     threshold: float = setting(OBJECT_MASK_THRESHOLD, minimum=0, below=1)
     """Minimum probability of an object."""
     min_pixels: int = setting(MIN_PIXELS, minimum=1)
@@ -87,7 +93,7 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         check_steps(self.postprocess)
         device = find_device(self.device)
         path = find_weights(self.METHOD, self.weights)
-        network, metadata = load_network(path, device)
+        network, metadata = load_network(path, device, settings=self._network_settings(path))
         if not isinstance(network, RigidMatch):
             variant = metadata.get("variant", "another network")
             raise MethodError(f"{path}: weights of {variant}, not of {self.METHOD}: load them by their own name")
@@ -95,6 +101,15 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         object.__setattr__(self, "size", trained_size(metadata, path))
         object.__setattr__(self, "weights", path)
         object.__setattr__(self, "network", network.to(memory_format=torch.channels_last))  # type: ignore[call-overload]
+
+    def _network_settings(self, path: Path) -> NetworkSettings:
+        """The settings of the file, with those of this method that no tensor depends on."""
+        found, _ = read_header(path)
+        if not isinstance(found, RigidMatchSettings):
+            return found
+        queries = found.queries if self.queries is None else self.queries
+        seed_radius = found.seed_radius if self.seed_radius is None else self.seed_radius
+        return dataclasses.replace(found, queries=queries, seed_radius=seed_radius)
 
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """See `StaticCameraEstimator`; the network is evaluated once for all pairs of one size."""

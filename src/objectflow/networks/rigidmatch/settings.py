@@ -64,11 +64,12 @@ class RigidMatchSettings:
     """Score window cells by their 3D offset from the current match as well as by correlation."""
     detail_channels: int = 24
     """Channels of a decoder on the stem's grid that sharpens masks; 0 upsamples from the fine grid alone."""
-    queries: int = 48
-    """Maximum number of objects in a pair."""
+    queries: int = 128
+    """Number of queries, several times that of objects: confident votes lie on large objects, and an object without a
+    query is missed."""
     decoder_layers: int = 3
     """Layers of the query decoder."""
-    seed_radius: float = 0.06
+    seed_radius: float = 0.1
     """Metres in trajectory space within which a seed suppresses others."""
     rounds: int = 1
     """Repetitions of the solve in which matches that disagree with the motion are weighted down."""
