@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import torch
 import tyro
-from rich.progress import track
 
 from objectflow.evaluation.data.sources import PairSet, open_set
 from objectflow.evaluation.metrics.segmentation_metrics import score_segmentation
@@ -57,9 +56,9 @@ def main(settings: Settings) -> None:
     pairs = open_set(str(settings.data), split=settings.split)
     keys = pairs.keys[: settings.limit]
     print(
-        f"{len(keys)} pairs of {settings.data.name}, network alone, queries merged from an overlap of {DUPLICATE_IOU}\n"
+    print(f"{len(keys)} pairs of {settings.data.name}; queries are merged from an overlap of {DUPLICATE_IOU}\n")
     )
-    print("| queries | seed radius, m | mean F | extracted | merged: mean F | extracted | network, CPU s |")
+    print("| queries | radius, m | mean F | extracted | merged: mean F | extracted | network, CPU s |")
     print("|---|---|---|---|---|---|---|")
     for radius in settings.radii:
         for queries in settings.queries:
@@ -74,7 +73,7 @@ def main(settings: Settings) -> None:
 def score(estimator: RigidMatchEstimator, pairs: PairSet, keys: Sequence[str]) -> tuple[Found, Found, float]:
     """Objects found with every query apart and with queries on one object merged, and the network's median time."""
     found, seconds = (Found(), Found()), []
-    for key in track(keys, "pairs", transient=True):
+    for key in keys:
         pair = pairs.pair(key)
         height, width = size = scaled_size(pair.curr, estimator.size)
         frames = [frame.resized(width, height) for frame in (pair.prev, pair.curr)]

@@ -18,10 +18,10 @@ def test_masks_of_one_object_become_their_weighted_mean() -> None:
     logits = squares((0, 8), (16, 24), (0, 10))
     probability = torch.tensor([0.3, 0.5, 0.6])
     merged = merge_duplicates(logits, probability, 0.5)
-    assert merged.best.tolist() == [2, 1]
-    assert merged.probability.tolist() == pytest.approx([1 - 0.4 * 0.7, 0.5])
-    torch.testing.assert_close(merged.logits[0], (0.6 * logits[2] + 0.3 * logits[0]) / 0.9)
-    torch.testing.assert_close(merged.logits[1], logits[1])
+    assert merged.best.tolist() == [1, 2]
+    assert merged.probability.tolist() == pytest.approx([0.5, 1 - 0.4 * 0.7])
+    torch.testing.assert_close(merged.logits[0], logits[1])
+    torch.testing.assert_close(merged.logits[1], (0.6 * logits[2] + 0.3 * logits[0]) / 0.9)
 
 
 def test_only_overlaps_above_the_threshold_are_merged() -> None:

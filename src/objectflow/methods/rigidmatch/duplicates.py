@@ -14,7 +14,7 @@ _STEP = 2
 
 
 class MergedMasks(NamedTuple):
-    """M objects out of K queries.
+    """M objects out of K queries, in the order of their most probable queries.
 
     Attributes:
         logits: (M, H, W) mask logits: the mean of the queries' logits, weighted by their probabilities.
@@ -54,6 +54,7 @@ def merge_duplicates(logits: Tensor, probability: Tensor, min_iou: float) -> Mer
             group = [first, *(k for k in order.tolist() if k in left and k != first and same[first, k])]
             left.difference_update(group)
             groups.append(group)
+    groups.sort(key=lambda group: group[0])  # not by probability, so that rounding does not change the order
     weights = torch.zeros(len(groups), len(probability), device=logits.device)
     for place, group in enumerate(groups):
         weights[place, group] = probability[group].float() / probability[group].float().sum()
