@@ -292,7 +292,7 @@ def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_
     made, path = network(), tmp_path / "w.safetensors"
     torch.nn.init.constant_(made.decoder.shape.bias, 20.0)  # large masks
     save_weights(path, made, {"variant": "rigidmatch", "size": [48, 64]})
-    # The queries of random weights are about equally probable, so which one represents an object is left to rounding.
+    # The queries of random weights are about equally probable, so which ones are merged is left to rounding.
     settings = {"camera": "static", "rigid": "solve", "threshold": 0.0, "duplicate_iou": 1.0}
     estimator = objectflow.load("rigidmatch", weights=path, **settings)
     large = [dataclasses.replace(frame, depth=5 * frame.depth) for frame in (pair.prev, pair.curr)]
@@ -303,7 +303,7 @@ def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_
     for one, other in zip(found.objects, scaled.objects, strict=True):
         np.testing.assert_allclose(other.prev_T_curr[:3, :3], one.prev_T_curr[:3, :3], atol=1e-3)
         np.testing.assert_allclose(other.prev_T_curr[:3, 3], 5 * one.prev_T_curr[:3, 3], atol=5e-3)
-        np.testing.assert_allclose(other.center, 5 * one.center, atol=5e-3)
+        np.testing.assert_allclose(other.center, 5 * one.center, atol=1e-2)
 
 
 @pytest.mark.parametrize("changes", [{}, {"stride": 8, "detail_channels": 6, "xfeat": "both"}], ids=str)
