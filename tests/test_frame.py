@@ -151,7 +151,7 @@ def test_invalid_camera_files_are_refused(
 def test_camera_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
     with pytest.raises(ReaderError, match=r"nowhere\.json: no such camera file"):
         Camera.read(tmp_path / "nowhere.json")
-    with pytest.raises(ReaderError, match="cannot be read"):
+    with pytest.raises(ReaderError, match="a camera file must be a regular file"):
         Camera.read(tmp_path)
 
 
