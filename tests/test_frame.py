@@ -134,6 +134,7 @@ def test_camera_files_are_read_with_their_depth_scale(tmp_path: Path) -> None:
         (json.dumps(VALUES | {"width": 10**400}).encode(), CameraError, "width must be"),
         (json.dumps(VALUES | {"depth_scale": 0}).encode(), FrameError, "depth_scale must be a positive"),
         (json.dumps(VALUES | {"depth_scale": 10**400}).encode(), FrameError, "depth_scale must be a positive"),
+        (json.dumps(VALUES | {"depth_scale": 1e39}).encode(), FrameError, "depth_scale must be at most 1e"),
         (json.dumps(VALUES | {"depth_scale": [1]}).encode(), FrameError, "depth_scale must be a number"),
     ],
 )

@@ -105,6 +105,13 @@ def test_object_motion_is_equation_1() -> None:
     np.testing.assert_allclose(geometry.transform(obj.prev_T_curr(), curr), prev, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["center", "translation", "rotation_vector"])
+def test_motions_beyond_any_scene_are_refused(name: str) -> None:
+    obj = make_pair(0).objects[0]
+    with pytest.raises(DatasetError, match=f"{name} of object {obj.label} is beyond"):
+        dataclasses.replace(obj, **{name: np.array([0.0, -1e39, 0.0])})  # finite, but not in float32
+
+
 def test_rows_are_found_by_their_keys(tmp_path: Path) -> None:
     write_set(tmp_path)
     rows = open_pairs(tmp_path)

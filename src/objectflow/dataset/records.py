@@ -123,8 +123,8 @@ def _fill(record: Records, columns: Mapping[str, Any], where: str, exact: bool) 
             raise ValueError(f"{stored.width}x{stored.height}, not {width}x{height} as the first row: give a size")
         camera = stored.scaled(width, height)
         record["intrinsics"] = camera.fx, camera.fy, camera.cx, camera.cy
-        record["depth_scale"] = columns["camera"]["depth_scale"]
         check_depth_scale(columns["camera"]["depth_scale"])
+        record["depth_scale"] = columns["camera"]["depth_scale"]
         for entry in columns["objects"]:
             PairObject.from_dict(entry)
         if columns.get("camera_motion") is not None:

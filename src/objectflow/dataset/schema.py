@@ -12,6 +12,7 @@ from objectflow import geometry
 from objectflow.errors import DatasetError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera, check_depth_scale
+from objectflow.geometry.se3 import MAX_DISTANCE
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.storage.foreign import located_errors
 from objectflow.storage.images import decode_png, encode_png
@@ -60,6 +61,8 @@ class PairObject:
         for name in ("center", "translation", "rotation_vector", "raw_rotation_vector"):
             if not np.isfinite(getattr(self, name)).all():
                 raise DatasetError(f"{name} of object {self.label} is not finite")
+            if np.abs(getattr(self, name)).max() > MAX_DISTANCE:
+                raise DatasetError(f"{name} of object {self.label} is beyond {MAX_DISTANCE:g}")
         for name in ("prev_pose", "curr_pose"):
             check_pose(getattr(self, name), f"{name} of object {self.label}")
 

@@ -22,6 +22,8 @@ MAX_IMAGE_BYTES = 8 * MAX_PIXELS
 """Largest image in memory, in bytes: colour of 4 channels has 16 bits each, and depth of one channel has 64 bits."""
 MAX_FILE_BYTES = 1 << 24
 """Largest camera file, in bytes."""
+MAX_DEPTH_SCALE = 1e9
+"""Largest number of depth units per metre: nanometres."""
 MAX_OFFSET = 20.0
 """Largest distance of the principal point from the origin, in image sizes."""
 
@@ -199,7 +201,7 @@ class Camera:
 
 
 def check_depth_scale(scale: object, *, where: str = "") -> None:
-    """Check that a depth scale (units per metre) is a finite positive number.
+    """Check that a depth scale (units per metre) is a positive number of at most `MAX_DEPTH_SCALE`.
 
     Raises:
         FrameError: an invalid scale; the message starts with `where`.
@@ -208,6 +210,10 @@ def check_depth_scale(scale: object, *, where: str = "") -> None:
         raise FrameError(f"{where}depth_scale must be a number of depth units per metre, not {reprlib.repr(scale)}")
     if not _is_finite(scale) or scale <= 0:
         raise FrameError(f"{where}depth_scale must be a positive, finite number of depth units per metre")
+    if scale > MAX_DEPTH_SCALE:
+        raise FrameError(
+            f"{where}depth_scale must be at most {MAX_DEPTH_SCALE:g} depth units per metre, not {scale:g}"
+        )
 
 
 def is_number(value: object) -> TypeGuard[float]:
