@@ -117,7 +117,7 @@ def decode(
             output.translation[0, kept],
             output.anchors[0, kept, :3],
             output.moves[0, kept].sigmoid(),
-            merged.probability[sure],
+            probability[kept],
         )
     )
     transforms = geometry.make_transform(R, t)
