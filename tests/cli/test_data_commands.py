@@ -48,7 +48,7 @@ def test_a_killed_and_resumed_run_produces_the_same_bytes(tmp_path: Path, monkey
     words = ["generate", "--preset", "small", "--samples", "1", "--pairs", "4", "--workers", "1"]
     assert main([*words, "--out", str(tmp_path / "one")]) == 0
     process = interruptions.start(settings, tmp_path / "killed", "--workers", "2")
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + 300
     while not list((tmp_path / "killed").glob("*.parquet")):
         assert process.poll() is None
         assert time.monotonic() < deadline
