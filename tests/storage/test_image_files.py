@@ -58,6 +58,13 @@ def pfm(path: Path, image: NDArray[Any]) -> None:
     path.write_bytes(f"Pf\n{image.shape[1]} {image.shape[0]}\n-1.0\n".encode() + image[::-1].astype("<f4").tobytes())
 
 
+def npy_of_python_2(path: Path, image: NDArray[Any]) -> None:
+    """Python 2 wrote the sizes as long integers, at which NumPy warns."""
+    np.save(path, image)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"(12, 16), }  ", b"(12L, 16L), }"))
+
+
 COLOR_FILES: dict[str, tuple[str, Write]] = {
     "png": ("c.png", pillow),
     "upper case": ("c.PNG", lambda path, image: pillow(path, image, format="png")),
@@ -89,6 +96,8 @@ DEPTH_FILES: dict[str, tuple[str, Write, NDArray[Any]]] = {
     "npy uint16": ("d.npy", np.save, UNITS),
     "npy big-endian": ("d.npy", lambda path, image: np.save(path, image.astype(">u2")), UNITS),
     "npy uint32": ("d.npy", np.save, UNITS.astype(np.uint32)),
+    "npy in columns": ("d.npy", lambda path, image: np.save(path, np.asfortranarray(image)), METRES),
+    "npy of Python 2": ("d.npy", npy_of_python_2, METRES),
     "npy with a channel": ("d.npy", lambda path, image: np.save(path, image[..., None]), METRES),
     "npy with a batch": ("d.npy", lambda path, image: np.save(path, image[None]), METRES),
     "npz": ("d.npz", np.savez, METRES),

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,20 @@ def read_archive(path: Path) -> dict[str, NDArray[Any]]:
         return {member.filename.removesuffix(".npy"): npy_array(archive.read(member)) for member in members}
 
 
+def npy_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """The shape of the array in an `.npy` file, whether its order is Fortran's, and its type; the data follow.
+
+    Raises:
+        ValueError: a broken header.
+    """
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # NumPy advises to rewrite files from Python 2
+        shape, fortran, dtype = read(file)
+    return shape, fortran, dtype
+
+
 def npy_array(data: bytes) -> NDArray[Any]:
     """Decode the bytes of an `.npy` file.
 
@@ -44,9 +59,7 @@ def npy_array(data: bytes) -> NDArray[Any]:
         ValueError: the header is broken, declares Python objects, or another size than the data have.
     """
     file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file)
+    shape, fortran, dtype = npy_header(file)
     count, start = math.prod(shape), file.tell()
     if dtype.hasobject:
         raise ValueError("an array of Python objects, which is a pickle")

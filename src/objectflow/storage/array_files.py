@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from objectflow.errors import ReaderError
 from objectflow.geometry.camera import MAX_IMAGE_BYTES, MAX_PIXELS
+from objectflow.storage.archives import npy_header
 from objectflow.storage.foreign import foreign_errors
 
 MAX_HEADER_BYTES = 1 << 16
@@ -36,9 +37,7 @@ def npy_size(file: IO[bytes], path: Path) -> tuple[int, int]:
         ReaderError: a broken header, or an array that is not an image of numbers.
     """
     with foreign_errors(ReaderError, f"{path}: not an NPY file that can be read"):
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(file)
+        shape, _, dtype = npy_header(file)
     _check_array(shape, dtype, path)
     height, width = image_shape(shape)[:2]
     return width, height
@@ -61,8 +60,12 @@ def decode_npy(data: bytes, path: Path) -> NDArray[Any]:
         ReaderError: broken data, or an array that is not an image of numbers.
     """
     with foreign_errors(ReaderError, f"{path}: not an NPY file that can be read"):
-        array = np.load(io.BytesIO(data), allow_pickle=False)
-    return np.ascontiguousarray(array.reshape(image_shape(array.shape)), dtype=array.dtype.newbyteorder("="))
+        file = io.BytesIO(data)
+        shape, fortran, stored = npy_header(file)
+        _check_array(shape, stored, path)
+        array = np.frombuffer(data, stored, math.prod(shape), file.tell())
+        array = array.reshape(shape, order="F" if fortran else "C")
+    return np.array(array.reshape(image_shape(shape)), dtype=stored.newbyteorder("="), order="C")
 
 
 def decode_npz(data: bytes, path: Path, names: tuple[str, ...]) -> NDArray[Any]:
