@@ -48,6 +48,31 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
+def new_file(path: Path) -> Iterator[Path]:
+    """Yield the path of a file to be written by a library; rename it to `path` at the end, or remove it on failure.
+
+    The temporary file has the name of `path`, whose ending tells some libraries the format.
+
+    Raises:
+        StorageError: writing failed, or nothing was written.
+    """
+    temporary: Temporary | None = None
+    try:
+        temporary = temporary_folder(path.parent)
+        written = temporary.path / path.name
+        yield written
+        _fsync_file(written)
+        os.replace(written, path)
+        _fsync_folder(path.parent)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    finally:
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.remove()
+
+
+@contextmanager
 def new_folder(path: Path, *, replace: bool | Callable[[Path], bool] = False) -> Iterator[Path]:
     """Yield a temporary folder to fill; rename it to `path` at the end, or remove it on failure.
 
