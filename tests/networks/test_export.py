@@ -109,3 +109,11 @@ def test_the_command_exports_and_reports(tmp_path: Path, capfd: pytest.CaptureFi
     assert "its size must be" in lines[0]
     assert "no such file or folder of weights" in lines[1]
     assert not out.exists()
+
+
+def test_the_default_is_the_released_network_of_the_default_method(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "--out", str(tmp_path / "n.onnx"), "--size", "64", "80"]) == 0
+    assert "64x80" in capfd.readouterr().out
+    assert "anchors" in [output.name for output in onnx.load(tmp_path / "n.onnx").graph.output]

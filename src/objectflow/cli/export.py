@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from objectflow.cli.arguments import option
+from objectflow.methods.registry import DEFAULT_METHOD
 from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
-  objectflow export --format onnx --weights FILE --out network.onnx
-  objectflow export --format onnx --weights FILE --size 480 640 --out network.onnx
+  objectflow export --out network.onnx
+  objectflow export --weights FILE --out network.onnx
+  objectflow export --weights FILE --size 480 640 --out network.onnx
 """
 
 
@@ -25,8 +27,8 @@ class Export:
     weights: Annotated[str | None, option("FILE|DIR|hf://OWNER/NAME", "the released ones")] = None
     """Weights of a learned method."""
 
-    method: Annotated[str, option("NAME")] = "sceneflownet-c-vl"
-    """Method whose weights are exported, if --weights names no file."""
+    method: Annotated[str, option("NAME", DEFAULT_METHOD)] = DEFAULT_METHOD
+    """Method whose network is exported; a file of weights tells it by itself."""
 
     size: Annotated[tuple[int, int] | None, option("H W", "the size of training")] = None
     """Height and width of the frames that the exported network takes."""
