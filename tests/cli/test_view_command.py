@@ -125,7 +125,7 @@ def test_errors_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 DEMO_ENTITIES = {
     *(f"/world/camera{part}" for part in ("", "/color", "/depth", "/labels")),
-    *("/world/points/by_object", "/world/points/by_flow", "/world/points/by_color/objects"),
+    *("/world/points/by_object", "/world/points/by_flow", "/world/points/by_color/modelled"),
     *("/world/points/by_color/rest", "/world/motion", "/world/captions", "/world/trails"),
     *(f"/world/objects/00{number}" for number in (1, 2, 3)),
 }
@@ -157,7 +157,7 @@ def test_a_window_opens_only_with_view(command: str, tmp_path: Path, monkeypatch
         assert isinstance(null_viewer, NoViewer)
         return Window() if options["window"] else null_viewer
 
-    monkeypatch.setattr("objectflow.cli.arguments.open_viewer", open_fake)
+    monkeypatch.setattr("objectflow.view.viewer.open_viewer", open_fake)
     words = [command, str(PAIR), "--method", "zero", *(["--min-gap", "0"] if command == "live" else [])]
     assert main([*words, "--out", str(tmp_path / "off")]) == 0
     assert shown == []

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from objectflow import Camera, RgbdFrame, geometry
 from objectflow.motion import ObjectMotion, SceneMotion
@@ -205,6 +206,12 @@ def test_a_failure_leaves_no_file(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == []
 
 
+def point_colors(entity: Any, row: int) -> NDArray[Any]:
+    """(N, 3) colours of the points that an entity has in one of its frames."""
+    rgba = np.array(column(entity, "Points3D:colors")[row], np.uint32).ravel()
+    return np.stack([rgba >> 24, (rgba >> 16) & 255, (rgba >> 8) & 255], -1)
+
+
 def test_trails_and_photographic_colours_are_logged(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
     path = tmp_path / "view.rrd"
@@ -216,12 +223,9 @@ def test_trails_and_photographic_colours_are_logged(tmp_path: Path) -> None:
     assert [len(frame_strips) for frame_strips in strips] == [0, 1]  # Object 2 rests.
     expected = [obj.world_T_object[:3, 3] for obj in (before.objects[0], after.objects[0])]
     np.testing.assert_allclose(strips[1][0], expected, atol=1e-6)
-    labels = make_motion().labels
-    for name, mask in (("objects", labels > 0), ("rest", labels == 0)):
-        values = column(found[f"/world/points/by_color/{name}"], "Points3D:colors")[1]
-        rgba = np.array(values, np.uint32).ravel()
-        rgb = np.stack([rgba >> 24, (rgba >> 16) & 255, (rgba >> 8) & 255], -1)
-        np.testing.assert_array_equal(rgb, frame(5.5).color[mask])
+    np.testing.assert_array_equal(
+        point_colors(found["/world/points/by_color/rest"], 1), frame(5.5).color.reshape(-1, 3)
+    )
 
 
 def test_models_are_logged_at_the_poses_of_their_objects(tmp_path: Path) -> None:
@@ -243,3 +247,8 @@ def test_models_are_logged_at_the_poses_of_their_objects(tmp_path: Path) -> None
     expected = [shown.objects[0].world_T_object[:3, 3] for shown in (before, after)]
     np.testing.assert_allclose(np.array(poses).reshape(2, 3), expected, atol=1e-6)
     assert column(found["/world/models/001"], "Clear:is_recursive") == [[False]]
+    # Points of an object without a model stay.
+    labels = make_motion().labels
+    for name, mask in (("modelled", labels == 1), ("rest", labels != 1)):
+        rgb = point_colors(found[f"/world/points/by_color/{name}"], 1)
+        np.testing.assert_array_equal(rgb, frame(5.5).color[mask])

@@ -15,6 +15,7 @@ from objectflow.cli import main
 from objectflow.cli.run_folder import open_run_source, read_known, read_tracks, run_pairs
 from objectflow.motion import SceneMotion
 from objectflow.tracking.trajectory_files import TRACKS
+from objectflow.typing import LabelImage
 from objectflow.view.run_frames import RunFrames, UnfinishedRunFrames
 from objectflow.view.viewer_frames import NO_TRACK
 
@@ -85,6 +86,30 @@ def test_an_object_is_shown_from_its_first_pose_on(result: Path) -> None:
     np.testing.assert_array_equal(first.objects[0].world_T_object, late.world_T_object[0])
     assert first.objects[0].path is None
     np.testing.assert_array_equal(second.objects[0].world_T_object, late.world_T_object[1])
+
+
+def test_an_object_that_a_frame_does_not_show_is_left_out(result: Path) -> None:
+    (_, _, first), (prev, curr, second) = run_pairs(result)
+    track = read_tracks(result)[0]
+    early = replace(
+        track,
+        times=track.times[:2],
+        world_T_object=track.world_T_object[:2],
+        labels=track.labels[:2],
+        scores=track.scores[:2],
+    )
+    for seen in (False, True):
+
+        def known(folder: Path, seen: bool = seen) -> LabelImage:
+            image = 0 * read_known(folder)
+            image[:5, :5] = early.id if seen else 0
+            return image
+
+        frames = RunFrames(open_run_source(result, None, "--frames"), [early], known, {})
+        frames.skip(first, 0, prev)
+        _, after = frames.read(second, prev, curr)
+        assert [obj.id for obj in after.objects] == ([early.id] if seen else [])
+        assert all(obj.path is None for obj in after.objects)
 
 
 def test_one_pair_is_shown_in_the_world_of_its_run(result: Path) -> None:

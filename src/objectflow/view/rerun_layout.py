@@ -29,10 +29,10 @@ def make_layout(*, models: bool = False) -> rrb.Blueprint:
     views = [
         _world_view("Objects", "by_object"),
         _world_view("Flow", "by_flow"),
-        _world_view("Colour", "by_color/objects", "by_color/rest"),
+        _world_view("Colour", "by_color/modelled", "by_color/rest"),
     ]
     if models:
-        # The models stand in for the points of the objects.
+        # The models stand in for the points of their objects.
         views.append(_world_view("Models", "by_color/rest", models=True))
     return rrb.Blueprint(
         rrb.Horizontal(

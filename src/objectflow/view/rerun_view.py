@@ -162,10 +162,11 @@ class RerunViewer:
         by_flow = gray if shown.own_flow is None else color_by_flow(gray, shown.own_flow[grid][valid])
         self._log(f"{POINTS}/by_object", rr.Points3D(world, colors=by_object, radii=radii))
         self._log(f"{POINTS}/by_flow", rr.Points3D(world, colors=by_flow, radii=radii))
-        # Objects and the rest are apart, so that a view can show models instead of the objects' points.
+        # The points of objects with models are apart, so that a view can show the models instead.
         color = frame.color[grid][valid]
-        on_object = np.zeros(len(world), np.bool_) if shown.ids is None else shown.ids[grid][valid] > 0
-        for name, part in (("objects", on_object), ("rest", ~on_object)):
+        modelled = [obj.id for obj in shown.objects if obj.model is not None]
+        on_model = np.zeros(len(world), np.bool_) if shown.ids is None else np.isin(shown.ids[grid][valid], modelled)
+        for name, part in (("modelled", on_model), ("rest", ~on_model)):
             self._log(f"{POINTS}/by_color/{name}", rr.Points3D(world[part], colors=color[part], radii=radii[part]))
 
     def _log_motions(self, shown: ViewerFrame) -> None:

@@ -21,7 +21,8 @@ from objectflow.view.viewer_frames import ViewerFrame, check_size, posed_frames,
 class RunFrames:
     """Reads the results of a finished run pair by pair, in order.
 
-    Objects have the ids, masks and poses of the run; those at rest stay at their last pose.
+    Objects have the ids, masks and poses of the run. One at rest stays at its last pose in the frames that show it;
+    one that is hidden or was taken away is left out.
     """
 
     def __init__(
@@ -60,8 +61,12 @@ class RunFrames:
         frames, motion = self._reader.read(folder, prev_index, curr_index)
         cameras, tracks = self._advance(motion, prev_index, curr_index)
         prev_time, curr_time = self._time(prev_index), self._time(curr_index)
+        known = self._read_known(folder)
+        seen = {int(number) for number in np.unique(known)}
         poses = {}
         for track in self._started:
+            if track.id not in seen and curr_time not in track.times:
+                continue
             before, after = (pose_at(track.times, track.world_T_object, time) for time in (prev_time, curr_time))
             if after is not None:
                 poses[track.id] = (after if before is None else before, after)
@@ -73,7 +78,7 @@ class RunFrames:
             motion,
             (prev_index, curr_index),
             self._reader.seconds(prev_index, curr_index),
-            self._read_known(folder),
+            known,
             self._models,
         )
 
