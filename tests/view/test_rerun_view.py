@@ -109,6 +109,13 @@ def read_back(path: Path) -> dict[str, list[Any]]:
     return found
 
 
+def static_values(chunks: list[Any], name: str) -> list[Any]:
+    """The values of a component that is logged without a time."""
+    tables = [chunk.to_record_batch() for chunk in chunks]
+    columns = [table.column(field) for table in tables for field in table.schema.names if field.endswith(name)]
+    return [value for column in columns for value in column.to_pylist()]
+
+
 def column(chunks: list[Any], name: str) -> list[Any]:
     """The values of a component in order of frame number."""
     rows: list[tuple[int, Any]] = []
@@ -252,3 +259,18 @@ def test_models_are_logged_at_the_poses_of_their_objects(tmp_path: Path) -> None
     for name, mask in (("modelled", labels == 1), ("rest", labels != 1)):
         rgb = point_colors(found[f"/world/points/by_color/{name}"], 1)
         np.testing.assert_array_equal(rgb, frame(5.5).color[mask])
+
+
+def test_masks_without_a_track_stay_grey_when_objects_appear(tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="rerun is not installed (extra `view`)")
+    path = tmp_path / "view.rrd"
+    before, after = pair_frames(frame(5.0), frame(5.5), make_motion())
+    with open_viewer("test", save=path) as viewer:
+        viewer.show(lambda: [dataclasses.replace(before, objects=before.objects[:1]), after])
+    contexts = static_values(read_back(path)["/world"], "AnnotationContext:context")
+    assert len(contexts) == 2
+    (context,) = contexts[-1]
+    colors = [(entry["class_id"], entry["class_description"]["info"]["color"]) for entry in context]
+    assert [number for number, _ in colors] == [0, NO_TRACK, 1, 2]
+    assert colors[1][1] == 0xADB5BDFF
+    assert colors[2][1] >> 8 == int.from_bytes(bytes(object_color(1)), "big")

@@ -55,6 +55,7 @@ class RerunViewer:
         self._shown: set[int] = set()
         self._drawn: set[int] = set()
         self._names: dict[int, str] = {}
+        self._named = False
         self._trails: dict[int, list[Float64Array]] = {}
         self._modelled: set[int] = set()
         self._save, self._temporary = save, None if save is None else temporary_beside(save)
@@ -118,15 +119,15 @@ class RerunViewer:
     def _log_names(self, shown: ViewerFrame) -> None:
         """Register names and colours of new ids."""
         names = {obj.id: obj.name for obj in shown.objects if obj.id not in self._names}
-        if not names and self._names:
+        if not names and self._named:
             return
+        self._named = True
         self._names |= names
         classes = [(0, "static", TRANSPARENT), (NO_TRACK, NO_TRACK_NAME, NO_TRACK_COLOR)]
         classes += [
             (object_id, name, (*colors.object_color(object_id), 255)) for object_id, name in self._names.items()
         ]
         self._log("world", rr.AnnotationContext(classes), static=True)
-        self._names.setdefault(NO_TRACK, NO_TRACK_NAME)
 
     def _log_camera(self, shown: ViewerFrame) -> None:
         camera = shown.frame.camera
