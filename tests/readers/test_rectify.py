@@ -133,6 +133,8 @@ def test_names_and_coefficients_of_models() -> None:
         make_lens("spline", (1.0, 2.0, 3.0))
     with pytest.raises(CameraError, match="finite"):
         make_lens("plumb_bob", (float("nan"), 0.0, 0.0, 0.0))
+    with pytest.raises(CameraError, match=r"at most 1e\+06"):
+        make_lens("plumb_bob", (0.1, 1e300, 0.0, 0.0))
     lens = make_lens("plumb_bob", WIDE)
     assert lens is not None
     with pytest.raises(FrameError, match="depth is 4x3, its camera is 320x240"):

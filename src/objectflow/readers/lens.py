@@ -18,6 +18,8 @@ _FTHETA = ("ftheta", "f-theta")
 _NONE = ("", "none", "unknown")
 _OPENCV_LENGTHS = (4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV's model may have."""
+MAX_COEFFICIENT = 1e6
+"""Largest distortion coefficient: those of real lenses are below a thousand, and damaged ones overflow."""
 _ITERATIONS = 50
 """Number of fixed-point steps that invert a model without a closed form."""
 
@@ -92,6 +94,8 @@ def make_lens(model: str, coefficients: tuple[float, ...]) -> Lens | None:
     values = tuple(float(value) for value in coefficients)
     if not np.isfinite(values).all():
         raise CameraError(f"distortion coefficients must be finite, not {values}")
+    if max(map(abs, values), default=0.0) > MAX_COEFFICIENT:
+        raise CameraError(f"distortion coefficients must be at most {MAX_COEFFICIENT:g}, not {values}")
     is_fisheye = name in _FISHEYE
     if not values or (not any(values) and not is_fisheye):
         return None
