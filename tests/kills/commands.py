@@ -78,8 +78,13 @@ def write_pairs(folder: Path) -> None:
     write_set(folder / "data", pairs=4)
 
 
-def run(folder: Path) -> None:
-    raise SystemExit(main(["run", str(folder / "in"), "--method", "zero", "--out", str(folder / "deep" / "out")]))
+def run(folder: Path, *options: str) -> None:
+    out = folder / "deep" / "out"
+    raise SystemExit(main(["run", str(folder / "in"), "--method", "zero", "--out", str(out), *options]))
+
+
+def run_with_video_and_report(folder: Path) -> None:
+    run(folder, "--video", "--report")
 
 
 def estimate(folder: Path) -> None:
@@ -134,6 +139,7 @@ COMMANDS: dict[str, tuple[Command, Make]] = {
     "estimate": (estimate, write_frames),
     "estimate, replacing a result": (estimate, write_frames_and_result),
     "run": (run, write_frames),
+    "run with a video and a report": (run_with_video_and_report, write_frames),
     "evaluate": (evaluate, nothing),
     "evaluate without a report": (evaluate_without_report, nothing),
     "generate": (generate_scenes, nothing),
