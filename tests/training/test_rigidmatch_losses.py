@@ -21,8 +21,8 @@ from objectflow.dataset.batches import Batches
 from objectflow.dataset.transforms import rescale
 from objectflow.errors import MethodError
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput
-from objectflow.networks.rigidmatch.xfeat import XFeat
 from objectflow.networks.weights import read_header
+from objectflow.networks.xfeat import XFeat
 from objectflow.training.hungarian import assign_queries, mask_costs
 from objectflow.training.loop import train
 from objectflow.training.model_config import RigidMatchModel
@@ -257,7 +257,7 @@ def test_xfeat_is_needed_stays_frozen_and_travels_with_the_weights(tmp_path: Pat
     data, path = write_set(tmp_path / "set"), tmp_path / "xfeat.safetensors"
     model = RigidMatchModel(dataclasses.replace(SETTINGS, xfeat="both"))
     recipe = dataclasses.replace(RIGID, model=model, steps=2, validate_every=2)
-    with pytest.raises(MethodError, match=r"rigidmatch needs the filters of XFeat: .*--backbone-weights"):
+    with pytest.raises(MethodError, match=r"network needs the filters of XFeat: .*--backbone-weights"):
         train(job(data, tmp_path / "none", recipe))
     filters = XFeat(torch.Generator().manual_seed(3)).state_dict()
     safetensors.torch.save_file(filters, path)

@@ -22,6 +22,11 @@ from objectflow.training.model_config import RigidMatchModel, SceneFlowNetModel
 from objectflow.training.parallel import Process, synchronize_batch_norm
 from objectflow.training.recipe import Recipe
 
+NEEDS_XFEAT = (
+    "this network needs the filters of XFeat: give a file of scripts/convert_xfeat.py by --backbone-weights, weights "
+    "to start from by --start-from, or {}"
+)
+
 
 def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, start: Path | None) -> NetworkAdapter:
     """The network with its initial weights, the same in every process, on its device, in training mode.
@@ -29,8 +34,8 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
     Args:
         recipe: its model and the seed of its random weights.
         process: this process, with its device.
-        backbone: torchvision's `resnet50` state dict for the colour trunk of the paper's network, or XFeat's filters
-            for rigidmatch.
+        backbone: XFeat's filters for a network with `xfeat`, else torchvision's `resnet50` state dict for the colour
+            trunk of the paper's network.
         start: weights of an earlier run to start from.
 
     Raises:
@@ -41,6 +46,8 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
     adapter: NetworkAdapter
     match recipe.model:
         case SceneFlowNetModel() as paper:
+            if start is None and backbone is None and paper.network.correlation and paper.network.xfeat:
+                raise MethodError(NEEDS_XFEAT.format("--model.network.no-xfeat"))
             if start is None:
                 network = SceneFlowNet(paper.network, generator=generator)
             else:
@@ -49,10 +56,7 @@ def build_adapter(recipe: Recipe, process: Process, *, backbone: Path | None, st
             has_batch_norm = paper.network.trunk_norm == "batch"
         case RigidMatchModel() as rigid:
             if start is None and backbone is None and rigid.network.xfeat != "none":
-                raise MethodError(
-                    "rigidmatch needs the filters of XFeat: give a file of scripts/convert_xfeat.py by "
-                    "--backbone-weights, weights to start from by --start-from, or --model.network.xfeat none"
-                )
+                raise MethodError(NEEDS_XFEAT.format("--model.network.xfeat none"))
             if start is None:
                 network = RigidMatch(rigid.network, generator=generator)
             else:

@@ -21,8 +21,8 @@ from objectflow.networks.rigidmatch.outputs import RigidMatchOutput
 from objectflow.networks.rigidmatch.refinement import FineMatch, Refinement
 from objectflow.networks.rigidmatch.rigid_solver import agreement, solve_motions
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
-from objectflow.networks.rigidmatch.xfeat import CHANNELS as XFEAT_CHANNELS
-from objectflow.networks.rigidmatch.xfeat import XFeat, sample_cells
+from objectflow.networks.xfeat import CHANNELS as XFEAT_CHANNELS
+from objectflow.networks.xfeat import XFeat, sample_cells
 
 PRIOR = 1.0
 """Number of matches that the votes' motion is worth in the solve."""

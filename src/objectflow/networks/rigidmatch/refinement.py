@@ -15,7 +15,7 @@ from objectflow.networks.rigidmatch.matching import CoarseMatch
 from objectflow.networks.rigidmatch.settings import RigidMatchSettings
 from objectflow.networks.rigidmatch.upsampling import mix_neighbors
 from objectflow.networks.rigidmatch.window_geometry import WindowGeometry
-from objectflow.networks.rigidmatch.xfeat import CHANNELS as XFEAT_CHANNELS
+from objectflow.networks.xfeat import CHANNELS as XFEAT_CHANNELS
 
 _FIRST_SCALE, _LARGEST_SCALE = 8.0, 60.0
 _BARRED = -1e4

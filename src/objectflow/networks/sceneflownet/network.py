@@ -15,6 +15,7 @@ from objectflow.networks.sceneflownet.correlation import correlate, weighted_max
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
+from objectflow.networks.xfeat import XFeat, sample_cells
 
 _STRIDE = 8
 """Stride of the encoders in pixels; images are padded to a multiple of it, and the maps are cropped."""
@@ -22,6 +23,8 @@ _DISPLACEMENT_CHANNELS = 4
 """Channels of `expected_displacement`: a vector, and the highest probability."""
 _INITIAL_SHARPNESS = 2.0
 """Initial value of `sharpness`; the first runs converged to within 0.1 of it."""
+_INITIAL_XFEAT_SHARPNESS, _LARGEST_XFEAT_SHARPNESS = math.log(10.0), math.log(30.0)
+"""Initial and maximum value of `xfeat_sharpness`."""
 
 
 class SceneFlowNet(nn.Module):
@@ -42,6 +45,9 @@ class SceneFlowNet(nn.Module):
         cosine = self.settings.correlation and self.settings.correlation_cosine
         self.sharpness = nn.Parameter(torch.tensor(_INITIAL_SHARPNESS)) if cosine else None
         """Logarithm of the factor of the cosines."""
+        self.xfeat = XFeat(generator) if cosine and self.settings.xfeat else None
+        self.xfeat_sharpness = None if self.xfeat is None else nn.Parameter(torch.tensor(_INITIAL_XFEAT_SHARPNESS))
+        """Logarithm of the factor of XFeat's cosines."""
         shape_channels = self.settings.shape_stages[-1][-1]
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
@@ -56,14 +62,17 @@ class SceneFlowNet(nn.Module):
         _initialise(self, generator)
 
     def load_backbone(self, path: str | Path) -> None:
-        """Initialise the colour encoder with torchvision's `resnet50` weights; see `backbone.load_backbone`.
+        """Take pretrained weights: XFeat's filters with `settings.xfeat`, else torchvision's `resnet50` for the trunk.
 
         Raises:
             MethodError: a file that does not fit, or a network without a colour encoder (OurS).
         """
         if self.color_encoder is None:
             raise MethodError(f"{path}: the simple network has no colour trunk: leave backbone weights out")
-        load_backbone(self.color_encoder.trunk, path)
+        if self.xfeat is None:
+            load_backbone(self.color_encoder.trunk, path)
+        else:
+            self.xfeat.load(Path(path))
 
     def forward(
         self, prev_color: Tensor, prev_points: Tensor, curr_color: Tensor, curr_points: Tensor
@@ -88,7 +97,9 @@ class SceneFlowNet(nn.Module):
         origin = curr_points.new_tensor((0.0, 0.0, self.settings.origin_depth))[:, None, None]
         prev_shape, curr_shape = (_with_validity((points - origin) / unit) for points in (prev_points, curr_points))
         images = [_pad(image) for image in (prev_color, prev_shape, curr_color, curr_shape)]
-        features, correlation = self._encode(*images)
+        features, correlation = self._encode(
+            *images, descriptors=self._describe(prev_color, curr_color, images[0].shape[-2:])
+        )
         details = _pyramid(images[2], images[3]) if self.settings.details else ()
         maps = SceneFlowNetOutput(
             *(channels[..., :height, :width] for channels in self.heads(self.hourglass(features, details)))
@@ -100,8 +111,24 @@ class SceneFlowNet(nn.Module):
         )
         return maps, correlation
 
+    def _describe(self, prev_color: Tensor, curr_color: Tensor, padded: torch.Size) -> tuple[Tensor, Tensor] | None:
+        """XFeat descriptors (B, 64, h, w) of unit length at the cells of the current and of the previous frame."""
+        if self.xfeat is None:
+            return None
+        size = (curr_color.shape[-2], curr_color.shape[-1])
+        cells = (padded[0] // _STRIDE, padded[1] // _STRIDE)
+        sampled = sample_cells(self.xfeat(torch.cat([curr_color, prev_color])), size, _STRIDE, cells)
+        curr, prev = F.normalize(sampled, dim=1).chunk(2)
+        return curr, prev
+
     def _encode(
-        self, prev_color: Tensor, prev_shape: Tensor, curr_color: Tensor, curr_shape: Tensor
+        self,
+        prev_color: Tensor,
+        prev_shape: Tensor,
+        curr_color: Tensor,
+        curr_shape: Tensor,
+        *,
+        descriptors: tuple[Tensor, Tensor] | None,
     ) -> tuple[Tensor, Tensor | None]:
         """Features at stride 8 for the hourglass, and the correlation."""
         if self.color_encoder is None:
@@ -113,6 +140,9 @@ class SceneFlowNet(nn.Module):
         if self.sharpness is not None:
             curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
             correlation = correlate(curr_features, prev_features, reach) * self.sharpness.exp()
+            if descriptors is not None and self.xfeat_sharpness is not None:
+                factor = self.xfeat_sharpness.clamp(max=_LARGEST_XFEAT_SHARPNESS).exp()
+                correlation = correlation + correlate(*descriptors, reach) * factor
             weights = (correlation - correlation.amax(1, keepdim=True)).exp()
         else:
             correlation = correlate(curr_features, prev_features, reach)

@@ -50,6 +50,9 @@ class NetworkSettings:
     correlation_cosine: bool = False
     """Correlate unit-length features scaled by a learnt factor, and weight cells by exp(c - max c); the paper
     rectifies plain products. Matches are then learnt in a few hundred steps."""
+    xfeat: bool = False
+    """Add the scaled cosines of frozen XFeat features (Potje et al., CVPR 2024) to the correlation, unlike the paper,
+    whose colour trunk starts from ImageNet's weights. It needs `correlation_cosine`. Ignored without correlation."""
     displacement: bool = False
     """Pass each cell's expected displacement under the softmax of its correlations, and the highest probability, to
     the hourglass, which in the paper receives pooled features only. Ignored without correlation."""
@@ -80,6 +83,8 @@ class NetworkSettings:
             raise MethodError(f"network setting origin_depth must be finite, not {self.origin_depth}")
         if not 0 <= self.reach <= MAX_REACH:
             raise MethodError(f"network setting reach must lie in 0..{MAX_REACH}, not {self.reach}")
+        if self.xfeat and not self.correlation_cosine:
+            raise MethodError("network setting xfeat needs correlation_cosine: cosines are added to cosines")
         blocks = self.trunk_blocks
         if len(blocks) != 2 or min(blocks) < 1 or max(blocks) > MAX_LAYERS:
             raise MethodError(f"network setting trunk_blocks needs two numbers in 1..{MAX_LAYERS}, not {blocks}")

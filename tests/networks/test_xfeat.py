@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from helpers.paths import ROOT
 from objectflow.errors import MethodError
-from objectflow.networks.rigidmatch.xfeat import XFeat, sample_cells, xfeat_size
+from objectflow.networks.xfeat import XFeat, sample_cells, xfeat_size
 
 
 def published_layer(inputs: int, outputs: int, kernel: int, stride: int) -> nn.Sequential:
