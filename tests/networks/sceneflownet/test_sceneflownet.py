@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from objectflow import geometry
@@ -16,6 +18,7 @@ from objectflow.errors import MethodError
 from objectflow.networks import NetworkSettings, SceneFlowNet, SceneFlowNetOutput, scene_flow
 from objectflow.networks.sceneflownet.decoder import Hourglass
 from objectflow.networks.sceneflownet.network import expected_displacement, fill_holes
+from objectflow.networks.xfeat import sample_cells
 
 SMALL = dataclasses.replace(NetworkSettings().scaled(0.125), reach=2, trunk_blocks=(1, 1))
 
@@ -156,6 +159,24 @@ def test_cosines_do_not_depend_on_the_features_lengths() -> None:
     torch.testing.assert_close(after, before)
 
 
+@pytest.mark.parametrize(("height", "width"), [(48, 64), (36, 52)])
+def test_xfeat_adds_its_scaled_cosines(height: int, width: int) -> None:
+    """Each sum over a patch is written out for each shift, zero beyond the image."""
+    plain, with_xfeat = _network(correlation_cosine=True), _network(correlation_cosine=True, xfeat=True)
+    tensors = {**with_xfeat.state_dict(), **plain.state_dict()}
+    with_xfeat.load_state_dict(tensors)
+    frames = _frames(height, width)
+    cells, reach = (-(-height // 8), -(-width // 8)), SMALL.reach
+    with torch.no_grad():
+        added = with_xfeat.predict(*frames)[1] - plain.predict(*frames)[1]
+        descriptors = with_xfeat.xfeat(torch.cat([frames[2], frames[0]]))
+    curr, prev = F.normalize(sample_cells(descriptors, (height, width), 8, cells), dim=1).chunk(2)
+    padded = F.pad(prev, (reach, reach, reach, reach))
+    for k, (row, column) in enumerate(itertools.product(range(2 * reach + 1), repeat=2)):
+        moved = padded[..., row : row + cells[0], column : column + cells[1]]
+        torch.testing.assert_close(added[:, k], 10 * (curr * moved).sum(1), atol=1e-4, rtol=1e-4)
+
+
 def test_images_may_be_padded_before_the_network() -> None:
     network = _network().eval()
     frames = _frames(33, 50)
@@ -220,6 +241,7 @@ def test_settings_go_through_json() -> None:
         ({"fine": [[64]]}, "fine needs 3 stages"),
         ({"fine": [[64], [], [3]]}, "stage without layers"),
         ({"trunk_norm": "group"}, "trunk_norm must be batch or frozen"),
+        ({"xfeat": True}, "xfeat needs correlation_cosine"),
         ({"missing": "masked"}, "missing is 'masked', which this version no longer implements: it needs 'channel'"),
         ({"correlation_mean": True}, "correlation_mean is True, which this version no longer implements"),
     ],
