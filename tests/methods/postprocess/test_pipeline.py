@@ -147,10 +147,10 @@ def test_the_default_steps_repair_the_output() -> None:
 
 
 def test_the_default_order_has_every_step_but_one() -> None:
-    """Found objects are tested as well, so two steps occur twice; reassignment moves the borders by itself."""
+    """Found objects are tested as well, so the test occurs twice; reassignment moves the borders by itself."""
     steps = list(DEFAULTS.steps)
     assert set(STEPS) - set(steps) == {"snap_to_edges"}
-    assert {name for name in steps if steps.count(name) > 1} == {"static_test", "drop_uncertain"}
+    assert {name for name in steps if steps.count(name) > 1} == {"static_test"}
     once = list(dict.fromkeys(steps))
     assert once == [name for name in STEPS if name in once]
     last = steps[steps.index("missed_objects") :]

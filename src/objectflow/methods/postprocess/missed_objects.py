@@ -18,6 +18,7 @@ from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.consensus.estimator import ConsensusEstimator
 from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.resting_masks import take_resting_masks
 from objectflow.methods.postprocess.settings import MissedObjectSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
 from objectflow.typing import BoolMask, LabelImage, UInt8Array
@@ -42,9 +43,13 @@ def recover_missed_objects(
     """
     likelihood, search = PairLikelihood.of(pair, settings.likelihood), settings.missed_objects
     rim = max(1, round(search.rim_px * labels.shape[1] / likelihood.shape[1]))
+    proposed = labels
+    # A mask at rest of low probability may be wrong, so its pixels are searched like those of the background.
+    certain = [obj.id for obj in objects if obj.moving or obj.score >= settings.min_static_score]
+    labels = np.where(np.isin(labels, certain), labels, np.int32(0))
     known = _dilated((labels > 0) & ~_unexplained(likelihood, labels, objects, search), rim)
     if not _has_changed(likelihood, known, search):
-        return labels, objects
+        return proposed, objects
     others = [(obj.prev_T_curr, labels == obj.id) for obj in objects if obj.moving]
     consensus = ConsensusEstimator(
         rounds=search.rounds,
@@ -65,7 +70,12 @@ def recover_missed_objects(
     own = tuple(piece for piece in added if number[piece.id] == piece.id)
     labels = number[labels]
     merged = _merge_new_parts(likelihood, likelihood.downscale(labels), objects, own, search)
-    return relabel_present(merged[labels], objects + own)
+    labels = merged[labels]
+    resting = tuple(obj for obj in objects if not obj.moving)
+    labels, own = take_resting_masks(pair, labels, own, proposed, resting, settings)
+    # What no found object took stays where it was.
+    uncertain = np.where(np.isin(proposed, certain), np.int32(0), proposed)
+    return relabel_present(np.where(labels > 0, labels, uncertain), objects + own)
 
 
 def _unexplained(

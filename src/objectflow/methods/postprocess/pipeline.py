@@ -56,8 +56,8 @@ STEPS: dict[str, Step] = {
     "merge": merge_fragments,  # fragments that one motion explains are one body
     "reassign": reassign_pixels,  # pixels follow the motion that explains them
     "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
-    "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
+    "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
     "confidence": set_confidence,  # scores of moving objects by their likelihood
 }
 """Every step by its name, in the default order."""

@@ -268,6 +268,8 @@ class MissedObjectSettings(Settings):
     """Smallest size of a separate piece relative to a neighbouring object."""
     min_area_ratio_same_motion: float = setting(0.5, minimum=0)
     """The same for a piece that shares the neighbour's motion."""
+    min_inside: float = setting(0.5, minimum=0, maximum=1)
+    """Share of an added object that lies in the mask of an object at rest, from which it may take that mask."""
     fragment_area_ratio: float = setting(0.1, minimum=0)
     """Size, relative to an added body, below which a known object beside it is a fragment of that body."""
 
@@ -278,7 +280,7 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "motion_search", "merge",
-        "reassign", "drop_uncertain", "missed_objects", "static_test", "drop_uncertain", "confidence",
+        "reassign", "missed_objects", "static_test", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
