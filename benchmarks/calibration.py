@@ -22,6 +22,7 @@ from objectflow.dataset.moving_objects import keep_labels
 from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
 from objectflow.evaluation.metrics.region_matching import assign_regions, compare
+from objectflow.evaluation.metrics.symmetry_error import displacement_error
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import Float32Array
 
@@ -95,14 +96,14 @@ def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) ->
 
 
 def is_right(found: ObjectMotion, true: TrueObject, points: Float32Array, truth: PairTruth) -> bool:
-    """Whether a motion carries the points (N, 3) of a true object to where they were, within the limits."""
+    """Whether a motion carries the points (N, 3) of a true object to where they were, up to its symmetry."""
     if not len(points):
         return False
     before = geometry.transform(true.prev_T_curr, points)
     background = truth.background_prev_T_curr
     at_rest = points if background is None else geometry.transform(background, points)
     displacement = np.linalg.norm(before - at_rest, axis=1).mean()
-    error = np.linalg.norm(geometry.transform(found.prev_T_curr, points) - before, axis=1).mean()
+    error = displacement_error(found.prev_T_curr, true.prev_T_curr, points, true.center, true.axes, true.orders)
     return bool(error <= max(MAX_ERROR, MAX_RELATIVE_ERROR * displacement))
 
 

@@ -1,4 +1,4 @@
-"""Rotation errors up to an object's symmetry group."""
+"""Errors of rotations and displacements up to an object's symmetry group."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from objectflow.errors import GeometryError
-from objectflow.geometry.se3 import rotation_angle, so3_exp
+from objectflow.geometry.se3 import inverse, rotation_angle, so3_exp, transform
 from objectflow.typing import Float64Array
 
 _ALIGNED = np.deg2rad(2.0)
@@ -41,6 +41,42 @@ def rotation_error(predicted: ArrayLike, true: ArrayLike, axes: ArrayLike = (), 
     if len(a) == 0:
         return float(np.degrees(rotation_angle(E)))
     return float(np.degrees(rotation_angle(np.swapaxes(rotation_group(a, orders), -1, -2) @ E).min()))
+
+
+def displacement_error(
+    predicted: ArrayLike,
+    true: ArrayLike,
+    points: ArrayLike,
+    center: ArrayLike,
+    axes: ArrayLike = (),
+    orders: Sequence[int] = (),
+) -> float:
+    """Mean distance in metres between the ends of points under two motions, the smallest over the symmetry group.
+
+    True rotations are reduced by symmetry, but the texture of a surface may show how far it really turned.
+
+    Args:
+        predicted, true: (4, 4) `prev_T_curr`.
+        points: (N, 3) metres of the object in the current frame, N > 0.
+        center: (3,) metres, on every symmetry axis.
+        axes: (A, 3) symmetry axes in the current camera frame; generators suffice.
+        orders: of each axis, n >= 2 for C_n, 0 for continuous.
+
+    Raises:
+        GeometryError: axes and orders of different number, invalid ones, or axes that generate no finite group.
+    """
+    a = _unit_axes(axes, orders)
+    c = np.asarray(center, dtype=np.float64)
+    x = np.asarray(points, dtype=np.float64) - c
+    # The true motion undone: a rotation of the group carries x there if the prediction is right.
+    y = transform(inverse(np.asarray(true, np.float64)) @ np.asarray(predicted, np.float64), x + c) - c
+    continuous = [axis for axis, order in zip(a, orders, strict=True) if order == 0]
+    if continuous:
+        others = [(axis, order) for axis, order in zip(a, orders, strict=True) if order != 0]
+        group = _best_of_revolution(x, y, continuous, others)
+    else:
+        group = rotation_group(a, orders)
+    return float(np.linalg.norm(x @ np.swapaxes(group, -1, -2) - y, axis=-1).mean(-1).min())
 
 
 def rotation_group(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
@@ -106,6 +142,29 @@ def _error_of_revolution(
     moved = E @ axis
     tilt = float(np.arctan2(np.linalg.norm(np.cross(axis, moved)), axis @ moved))
     return float(np.degrees(min(tilt, np.pi - tilt) if may_flip else tilt))
+
+
+def _best_of_revolution(
+    x: Float64Array, y: Float64Array, continuous: Sequence[Float64Array], others: Sequence[tuple[Float64Array, int]]
+) -> Float64Array:
+    """(G, 3, 3) rotations that carry points x (N, 3) best to y: about a continuous axis, with and without a flip."""
+    axis = continuous[0]
+    flips = [np.eye(3)]
+    for other, order in [*((one, 0) for one in continuous[1:]), *others]:
+        cosine = abs(float(axis @ other))
+        if cosine > np.cos(_ALIGNED):
+            continue
+        if order != 2 or cosine >= np.sin(_ALIGNED):  # the group is that of a ball
+            U, _, Vt = np.linalg.svd(y.T @ x)
+            return np.asarray((U * [1, 1, np.sign(np.linalg.det(U @ Vt))]) @ Vt)[None]
+        flips.append(so3_exp(np.pi * other))
+    best = []
+    for flip in flips:
+        across = x @ flip.T
+        across = across - np.outer(across @ axis, axis)
+        angle = np.arctan2((np.cross(axis, across) * y).sum(), (across * y).sum())
+        best.append(so3_exp(angle * axis) @ flip)
+    return np.array(best)
 
 
 def _unit_axes(axes: ArrayLike, orders: Sequence[int]) -> Float64Array:
