@@ -10,21 +10,18 @@ import dataclasses
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.geometry.resample import upsample_mask
 from objectflow.methods.consensus.estimator import ConsensusEstimator
 from objectflow.methods.labels import Objects, relabel_present
+from objectflow.methods.postprocess.changed_regions import changed_regions
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.resting_masks import take_resting_masks
 from objectflow.methods.postprocess.settings import MissedObjectSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
-from objectflow.typing import BoolMask, LabelImage, UInt8Array
-
-_MIN_JUDGED = 4
-"""Fewest changed pixels of a 3x3 window, the others having no depth, for the window to count as changed."""
+from objectflow.typing import BoolMask, LabelImage
 
 
 def recover_missed_objects(
@@ -84,36 +81,21 @@ def _unexplained(
     """(H, W) bool: larger regions of objects at rest that cannot have stood still: something moved there."""
     small = likelihood.downscale(labels)
     resting = np.isin(small, [obj.id for obj in objects if not obj.moving])
-    cost, hidden = likelihood.static_cost()
-    changed = resting & (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden
-    core = _opened(changed, likelihood.pair)
-    numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
-    sizes = np.bincount(numbers.ravel(), minlength=count + 1)
-    large = np.flatnonzero(sizes >= settings.min_object_share * cost.size)
-    region = np.isin(numbers, large[large > 0]).astype(np.uint8)
-    return upsample_mask(cv2.dilate(region, np.ones((5, 5))) > 0, labels.shape) & (labels > 0)
+    regions = changed_regions(
+        likelihood, resting, changed_cost=settings.changed_cost, min_share=settings.min_object_share
+    )
+    grown = cv2.dilate((regions > 0).astype(np.uint8), np.ones((5, 5))) > 0
+    return upsample_mask(grown, labels.shape) & (labels > 0)
 
 
 def _has_changed(likelihood: PairLikelihood, known: BoolMask, settings: MissedObjectSettings) -> bool:
     """Whether standing still does not explain some larger region beside the known objects."""
     height, width = likelihood.shape
     own = cv2.resize(known.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    cost, hidden = likelihood.static_cost()
-    changed = (cost >= settings.changed_cost) & likelihood.pair.curr.valid & ~hidden & ~own
-    core = _opened(changed, likelihood.pair)
-    numbers, count = ndimage.label(core, structure=np.ones((3, 3)))
-    sizes = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
-    return bool((sizes >= settings.min_object_share * cost.size).any())
-
-
-def _opened(changed: BoolMask, pair: FramePair) -> UInt8Array:
-    """Changed pixels without thin and small parts: a 3x3 opening in which scattered holes of the depth are neutral."""
-    kernel = np.ones((3, 3), np.uint8)
-    # Standing still compares a pixel with the same pixel of the previous frame, which may lack depth as well.
-    compared = pair.curr.valid & pair.prev.valid
-    count = cv2.boxFilter(changed.astype(np.float32), -1, (3, 3), normalize=False)
-    inner = (cv2.erode((changed | ~compared).astype(np.uint8), kernel) > 0) & (count >= _MIN_JUDGED)
-    return np.asarray(cv2.dilate(inner.astype(np.uint8), kernel), dtype=np.uint8)
+    regions = changed_regions(
+        likelihood, ~own, changed_cost=settings.changed_cost, min_share=settings.min_object_share
+    )
+    return bool(regions.any())
 
 
 def _attach_or_drop(
