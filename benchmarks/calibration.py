@@ -21,7 +21,6 @@ from objectflow import geometry
 from objectflow.dataset.moving_objects import keep_labels
 from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
-from objectflow.evaluation.metrics.region_matching import assign_regions, compare
 from objectflow.evaluation.metrics.symmetry_error import displacement_error
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import Float32Array
@@ -33,7 +32,7 @@ MAX_ERROR = 0.01
 MAX_RELATIVE_ERROR = 0.2
 """The same as a share of the object's true displacement against the background."""
 MIN_INSIDE = 0.5
-"""Share of a predicted mask that must lie on the true mover with which it is matched."""
+"""Share of a predicted mask that must lie on one true mover."""
 
 
 @dataclass
@@ -73,7 +72,9 @@ def main(settings: Settings) -> None:
 
 
 def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) -> Iterator[ScoredMover]:
-    """Compare every object that was predicted to move with the true mover that it matches.
+    """Compare the motion of every object that was predicted to move with that of the true mover that it shows.
+
+    The motion of a part of a mover is right if it is that of the whole.
 
     Args:
         motion: the prediction.
@@ -81,15 +82,13 @@ def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) ->
         points: (H, W, 3) metres of the current frame.
     """
     true = keep_labels(truth.labels, truth.moving)
-    guess = keep_labels(motion.labels, {obj.id for obj in motion.moving})
-    regions = compare(true, guess).without_background()
-    matched = {int(regions.predicted_ids[j]): int(regions.true_ids[i]) for i, j in assign_regions(regions)}
     by_label = {obj.label: obj for obj in truth.objects}
     for obj in motion.moving:
-        label = matched.get(obj.id)
-        mask = motion.labels == obj.id
-        right = label is not None and (true[mask] == label).mean() >= MIN_INSIDE
-        if right and label is not None:
+        shown = true[motion.labels == obj.id]
+        counts = np.bincount(shown, minlength=1)
+        label = int(counts[1:].argmax()) + 1 if len(counts) > 1 else 0
+        right = label > 0 and counts[label] >= MIN_INSIDE * len(shown)
+        if right:
             seen = points[true == label]
             right = is_right(obj, by_label[label], seen[np.isfinite(seen[:, 2])], truth)
         yield ScoredMover(obj.score, bool(right))

@@ -40,3 +40,16 @@ def test_right_and_wrong_motions_are_told_apart() -> None:
         "| 0.7 to 0.9 | 0 | - |",
         "| 0.9 to 1 | 2 | 100% |",
     ]
+
+
+def test_a_part_with_the_motion_of_the_whole_is_right() -> None:
+    scene = analytic.make_scene(53, objects=(3, 3))
+    points = geometry.back_project(scene.curr.depth, scene.curr.camera)
+    whole = next(obj for obj in true_objects(scene) if obj.id in scene.moving)
+    mask = scene.labels == whole.id
+    left = mask & (np.arange(mask.shape[1]) < np.median(np.nonzero(mask)[1]))
+    labels = np.where(left, np.int32(1), np.where(mask, np.int32(2), np.int32(0)))
+    off = geometry.make_transform(np.eye(3), [0.05, 0.0, 0.0]) @ whole.prev_T_curr
+    parts = (dataclasses.replace(whole, id=1), dataclasses.replace(whole, id=2, prev_T_curr=off))
+    found = list(calibration.judge_movers(SceneMotion(labels, scene.scene_flow, parts), truth_of_scene(scene), points))
+    assert [one.right for one in found] == [True, False]
