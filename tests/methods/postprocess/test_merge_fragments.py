@@ -134,6 +134,26 @@ def test_motions_that_explain_nothing_are_not_merged() -> None:
     assert len(merge_fragments(pair, labels, objects, DEFAULTS)[1]) == 2
 
 
+@pytest.mark.parametrize(
+    ("apart", "merge", "count"),
+    [
+        (0.0, MergeSettings(), ONE_OBJECT),
+        (0.0, MergeSettings(agreement_factor=1.0), TWO_OBJECTS),
+        (0.014, MergeSettings(), TWO_OBJECTS),
+        (0.014, MergeSettings(agreement_sigmas=2.5), ONE_OBJECT),
+    ],
+)
+def test_motions_that_agree_may_fit_worse(apart: float, merge: MergeSettings, count: int) -> None:
+    """Both motions are 6 mm off, which costs more than 1 and less than 2; a match is uncertain by 7 mm."""
+    pair, labels = two_halves()
+    off = geometry.make_transform(np.eye(3), [0.0, 0.0, 0.106])
+    beside = geometry.make_transform(np.eye(3), [apart, 0.0, 0.106])
+    objects = (half(1, 300, beside), half(2, 500, off))
+    settings = dataclasses.replace(DEFAULTS, merge=merge)
+    assert 1 < PairLikelihood(pair, DEFAULTS.likelihood).cost(off, labels > 0).mean() < 2
+    assert len(merge_fragments(pair, labels, objects, settings)[1]) == count
+
+
 def test_three_pieces_become_one_object() -> None:
     pair, labels = two_halves()
     labels[20:40, 50:60] = 3

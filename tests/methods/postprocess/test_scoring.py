@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import analytic
+from helpers.flat_scenes import Card, draw, object_of
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import motion_confidence
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.methods.postprocess.scoring import set_confidence
-from objectflow.methods.postprocess.settings import PostprocessSettings
+from objectflow.methods.postprocess.scoring import UNSEEN, set_confidence, two_way_confidence
+from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.motion import ObjectMotion
 
 DEFAULTS = PostprocessSettings()
@@ -45,6 +46,34 @@ def test_true_motions_score_high_and_wrong_ones_low(seed: int) -> None:
         assert off.score < 0.1
         assert (right.id, right.pixels, right.moving) == (obj.id, obj.pixels, obj.moving)
         assert right.rigid
+
+
+def test_two_way_confidence_in_numbers() -> None:
+    cost = np.array([0.0, 0.0, 0.0, 5.0, UNSEEN], np.float32)
+    before, gain = np.array([0.0, 6.0], np.float32), np.full(5, 1.0, np.float32)
+    settings = StaticTestSettings(two_way_exponent=0.5)
+    expected = 0.8 * np.sqrt(0.75 * 0.5) * (1 - np.exp(-2))
+    assert two_way_confidence(cost, before, gain, settings) == pytest.approx(expected, abs=1e-4)
+    assert two_way_confidence(cost, before, -gain, settings) == 0
+    assert two_way_confidence(cost, before[:0], gain, settings) == 0
+    assert two_way_confidence(cost[4:], before, gain[4:], settings) == 0
+
+
+def test_what_lies_between_the_pixels_in_the_previous_frame_must_fit_as_well() -> None:
+    """A fence moved by 10 pixels: its posts fit the previous frame, whether or not a board was between them."""
+    card = Card(1, 50, 40, 40, 30, 0.8)
+    between = card.mask & (np.arange(160)[None] % 2 == 1)
+    curr = draw(card)
+    curr.depth[between] = 1.0
+    posts = card.mask & ~between
+    obj = object_of(1, posts, curr, card.motion(10))
+    scores = []
+    for depth in (0.0, 0.6):  # unknown, or a board before the fence
+        prev = draw(Card(1, 40, 40, 40, 30, 0.8))
+        prev.depth[np.roll(between, -10, axis=1)] = depth
+        scores.append(set_confidence(FramePair(prev, curr), posts.astype(np.int32), (obj,), DEFAULTS)[1][0].score)
+    assert scores[0] > 0.95
+    assert scores[1] == pytest.approx(0.5**DEFAULTS.static_test.two_way_exponent, abs=0.05)
 
 
 def test_static_objects_keep_their_scores() -> None:

@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 
+from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import MergeSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
-from objectflow.typing import Float64Array, LabelImage
+from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 
 def merge_fragments(
@@ -19,8 +20,9 @@ def merge_fragments(
 ) -> tuple[LabelImage, Objects]:
     """Merge moving objects that touch along a continuous surface and that one motion explains.
 
-    Each object, the smallest first, is merged into the neighbour with which the least likelihood is lost. Two bodies
-    that move as one cannot be told from one body; static objects are never merged.
+    Each object, the smallest first, is merged into the neighbour with which the least likelihood is lost. Where the
+    two motions agree within the noise of matches, they may explain their objects less well. Two bodies that move as
+    one cannot be told from one body; static objects are never merged.
 
     Args:
         pair: the frames, from a static camera.
@@ -73,11 +75,25 @@ def _partner(
         if share < settings.min_contact or not other.moving or other.pixels < small.pixels:
             continue
         theirs = likelihood.mask(labels, number)
+        agree = _agree(likelihood, small, other, mask | theirs, settings)
+        max_cost = settings.max_cost * (settings.agreement_factor if agree else 1.0)
         apart = own + likelihood.cost(other.prev_T_curr, theirs).sum()
         for motion in (other.prev_T_curr, small.prev_T_curr):
             together = likelihood.cost(motion, mask).sum() + likelihood.cost(motion, theirs).sum()
             count = mask.sum() + theirs.sum()
             lost = float(together - apart) / count
-            if lost < best and together < settings.max_cost * count:
+            if lost < best and together < max_cost * count:
                 best, out = lost, (other, motion)
     return out
+
+
+def _agree(
+    likelihood: PairLikelihood, one: ObjectMotion, other: ObjectMotion, both: BoolMask, settings: MergeSettings
+) -> bool:
+    """Whether two motions carry the points of both objects to the same place within the noise of matches."""
+    points = likelihood.points[both].astype(np.float64)
+    ends = [geometry.transform(obj.prev_T_curr, points) for obj in (one, other)]
+    pair = likelihood.pair
+    sigma = pair.noise.match_sigma(np.median(points[:, 2:], axis=0).astype(np.float32), pair.curr.frame.camera)
+    distance = float(np.linalg.norm(ends[0] - ends[1], axis=1).mean())
+    return distance < settings.agreement_sigmas * float(sigma[0])

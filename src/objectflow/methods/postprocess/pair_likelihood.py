@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import EVERYWHERE, Box, LikelihoodSettings, motion_cost
 from objectflow.geometry.resample import nearest_indices
@@ -62,6 +63,35 @@ class PairLikelihood:
             box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
             self._costs[key] = self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
         return self._costs[key]
+
+    def previous_cost(self, prev_T_curr: Float64Array, mask: BoolMask) -> Float32Array:
+        """(M,) cost, under the inverse of a motion, of the pixels of the previous frame where a mask came from."""
+        prev, curr = self.pair.prev, self.pair.curr
+        area = self.footprint(prev_T_curr, mask) & prev.valid
+        rows, columns = np.any(area, axis=1).nonzero()[0], np.any(area, axis=0).nonzero()[0]
+        if not len(rows):
+            return np.zeros(0, np.float32)
+        box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+        cost, _ = motion_cost(
+            curr.frame,
+            prev.points,
+            geometry.inverse(prev_T_curr),
+            (curr.appearance, prev.appearance),
+            box,
+            noise=self.pair.noise,
+            settings=self._settings,
+        )
+        return np.asarray(cost[area[box]])
+
+    def footprint(self, prev_T_curr: Float64Array, mask: BoolMask) -> BoolMask:
+        """(H, W) bool: where a mask was in the previous frame under a motion, without gaps between its pixels."""
+        camera = self.pair.prev.frame.camera
+        pixels = geometry.project(geometry.transform(prev_T_curr, self.points[mask]), camera)
+        column, row = np.rint(np.nan_to_num(pixels.reshape(-1, 2), nan=-9)).clip(-9, 1e6).astype(np.intp).T
+        inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+        occupied = np.zeros(mask.shape, np.uint8)
+        occupied[row[inside], column[inside]] = 1
+        return np.asarray(cv2.morphologyEx(occupied, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0)
 
     def static_cost(self) -> tuple[Float32Array, BoolMask]:
         """(H, W) cost of standing still under any light, and (H, W) bool: pixels that were hidden."""

@@ -48,6 +48,9 @@ class StaticTestSettings(Settings):
     """Highest score of an object of which the previous frame shows less."""
     explained_cost: float = setting(2.0, above=0)
     """Largest cost of a pixel that a motion explains."""
+    two_way_exponent: float = setting(0.65, above=0)
+    """Exponent of the shares of pixels that a motion explains, forwards and backwards, in the score: the smallest in
+    steps of 0.05 with which motions that score above 0.7 are right in 95 of 100 cases on validation pairs."""
     max_unexplained: float = setting(0.25, minimum=0, maximum=1)
     """Largest share of an object's visible pixels that its motion leaves unexplained; beyond it, the object is not
     rigid."""
@@ -208,6 +211,11 @@ class MergeSettings(Settings):
     """Largest mean log-likelihood per pixel that two fragments may lose by sharing one motion."""
     max_cost: float = setting(1.0, minimum=0)
     """Largest mean cost per pixel under that motion; two motions that explain nothing are no evidence of one body."""
+    agreement_sigmas: float = setting(1.5, minimum=0)
+    """Standard deviations of a match: mean distance between the ends of the points of both fragments under their two
+    motions, up to which the motions agree."""
+    agreement_factor: float = setting(2.0, minimum=1)
+    """Factor on `max_cost` where the motions agree, which is evidence of one body by itself."""
     max_depth_step: float = setting(0.01, above=0)
     """Metres between neighbouring pixels at which a surface ends."""
 
@@ -280,7 +288,7 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "motion_search", "merge",
-        "reassign", "missed_objects", "static_test", "drop_uncertain", "confidence",
+        "reassign", "merge", "missed_objects", "static_test", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
