@@ -38,9 +38,10 @@ def two_way_confidence(
     visible = cost < UNSEEN
     if not visible.any() or not len(previous_cost):
         return 0.0
-    shares = [float((one < settings.explained_cost).mean()) for one in (cost[visible], previous_cost)]
+    forward, backward = (float((one < settings.explained_cost).mean()) for one in (cost[visible], previous_cost))
     moved = 1 - float(np.exp(-2 * max(0.0, float(gain.mean()))))
-    return round(float(visible.mean()) * (shares[0] * shares[1]) ** settings.two_way_exponent * moved, 4)
+    explained = float((forward * backward) ** settings.two_way_exponent)
+    return round(float(visible.mean()) * explained * moved, 4)
 
 
 def set_confidence(
