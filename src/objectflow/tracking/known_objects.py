@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.model_fit import FrameView
+from objectflow.tracking.model_motion import PairViews, is_refuted, matched_motion, model_motion
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
@@ -73,8 +75,100 @@ class KnownObjects:
         seen = fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present
         return seen and view.is_better(known.model, before, pose if better else after)
 
+    def refuses(self, view: FrameView, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether a frame shows that an object rests, although an estimate moves it.
+
+        Args:
+            view: the current frame.
+            number: of the track.
+            before, after: (4, 4) `camera_T_object` if the object rests, and if it moves as estimated.
+        """
+        known, settings = self.objects.get(number), self.settings.follow
+        if known is None:
+            return False
+        fit = view.fit(known.model, before)
+        if fit.fits.sum() < settings.min_points or fit.visible < settings.min_visible:
+            return False
+        return fit.present >= settings.refused_rest and view.is_better(known.model, after, before)
+
+    def follow(
+        self,
+        views: PairViews,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        tracker: Tracker,
+        prev_time: float,
+        time: float,
+    ) -> tuple[int, ...]:
+        """Follow the objects that moved although the estimate lacks their motions.
+
+        Args:
+            views: the pair.
+            motion: its estimate.
+            tracks: the track id of each object of the estimate; the tracker has been updated by them.
+            tracker: is given the poses that are found.
+            prev_time, time: of the pair.
+
+        Returns:
+            The track ids of the objects that were followed.
+        """
+        if not tracker.world_T_camera:
+            return ()
+        settings = self.settings.follow
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        numbers = {track.id for track in tracker.tracks}
+        followed = []
+        for number in sorted(set(self.objects) & numbers - set(tracks.values())):
+            model, world_T_object = self.objects[number].model, self.objects[number].world_T_object
+            rest = curr_T_world @ world_T_object
+            if not is_refuted(views.curr, model, rest, settings):
+                continue
+            prev_T_object = views.prev_T_curr @ rest
+            starts = [rest]
+            predicted = tracker.predicted(number)
+            if predicted is not None:
+                starts.append(curr_T_world @ predicted)
+            motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
+            matched = matched_motion(views, number, settings)
+            if matched is not None:
+                motions.append(matched)
+            starts += [geometry.inverse(prev_T_curr) @ prev_T_object for prev_T_curr in motions]
+            found = model_motion(views, model, rest, starts, settings)
+            if found is None or self._is_claimed(
+                views.curr, number, found.curr_T_object, motion, tracks, curr_T_world
+            ):
+                continue
+            pose = tracker.world_T_camera[-1] @ found.curr_T_object
+            tracker.follow(number, prev_time, time, pose, found.present)
+            followed.append(number)
+        return tuple(followed)
+
+    def _is_claimed(
+        self,
+        view: FrameView,
+        number: int,
+        curr_T_object: Float64Array,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        curr_T_world: Float64Array,
+    ) -> bool:
+        """Whether most of the surface at the new pose of an object belongs to other known objects."""
+        mask, _ = view.mask(self.objects[number].model, curr_T_object)
+        labels = resize_nearest(motion.labels, mask.shape)
+        claimed = np.isin(labels, list(tracks))
+        for other, known in self.objects.items():
+            if other != number and other not in tracks.values():
+                claimed |= view.mask(known.model, curr_T_world @ known.world_T_object)[0]
+        return bool((mask & claimed).sum() > self.settings.follow.max_claimed * max(1, mask.sum()))
+
     def update(
-        self, view: FrameView, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker, shape: tuple[int, ...]
+        self,
+        view: FrameView,
+        motion: SceneMotion,
+        tracks: dict[int, int],
+        tracker: Tracker,
+        shape: tuple[int, ...],
+        followed: Collection[int] = (),
     ) -> LabelImage:
         """Compare the models with the current frame, and extend those of the objects that moved.
 
@@ -87,6 +181,7 @@ class KnownObjects:
             tracks: the track id of each object of the estimate, as `Tracker.update` returned them.
             tracker: after this update.
             shape: (H, W) of the result, that of the frame.
+            followed: track ids of the objects that were followed by their models.
 
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
@@ -106,6 +201,11 @@ class KnownObjects:
             track = by_id[number]
             if number in masks:
                 self._move(number, masks[number], track.world_T_object, view, curr_T_world)
+            elif number in followed:
+                known = self.objects[number]
+                known.world_T_object, known.moved = track.world_T_object[-1], True
+                fit = view.fit(known.model, curr_T_world @ known.world_T_object)
+                known.model.count(fit.fits, fit.missing)
             elif self.objects[number].moved:
                 self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
             if number not in self.objects:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -101,6 +102,7 @@ class Tracker:
         time: float,
         motion: SceneMotion,
         confirms: Callable[[int, Float64Array, Float64Array], bool] | None = None,
+        refuses: Callable[[int, Float64Array, Float64Array], bool] | None = None,
     ) -> dict[int, int]:
         """Add the next pair, whose previous frame must be the current frame of the last call.
 
@@ -111,6 +113,7 @@ class Tracker:
             motion: the estimate for the pair.
             confirms: whether the current frame confirms a step of low score, by the id of the track and its poses
                 `camera_T_object` (4, 4) before and after the step, both in the current camera; such a step is no gap.
+            refuses: whether the current frame shows that a step, with the same arguments, is not that of the track.
 
         Returns:
             Track id of each object of `motion` that has a track, by the object's id.
@@ -140,7 +143,8 @@ class Tracker:
         objects = [o for o in motion.objects if o.moving]
         surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
-        links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
+        refused = None if refuses is None else partial(self._is_refused, world_T_prev, world_T_curr, refuses)
+        links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
             # The object's motion from prev to curr in the world frame, without the camera's motion.
@@ -148,9 +152,7 @@ class Tracker:
             if obj.score < self.settings.min_score:
                 if number is None:
                     continue
-                before = geometry.inverse(world_T_curr) @ self._tracks[number].world_T_object[-1]
-                after = geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
-                after = after @ self._tracks[number].world_T_object[-1]
+                before, after = self._poses(number, obj, world_T_prev, world_T_curr)
                 if confirms is None or not confirms(number, before, after):
                     self._tracks[number].gaps.append(time)
                     continue
@@ -167,6 +169,37 @@ class Tracker:
         self._trim()
         return found
 
+    def follow(self, number: int, prev_time: float, time: float, world_T_object: Float64Array, score: float) -> None:
+        """Add a step of a track that the estimate of the latest pair lacks; its label is 0.
+
+        Args:
+            number: of the track, which has no pose at this time.
+            prev_time, time: of the pair.
+            world_T_object: (4, 4) the pose at `time`.
+            score: of the step, 0..1.
+        """
+        track, state = self._tracks[number], self._states[number]
+        self._rest_until(track, prev_time)
+        step = world_T_object @ geometry.inverse(track.world_T_object[-1])
+        track.times.append(time)
+        track.world_T_object.append(world_T_object)
+        track.labels.append(0)
+        track.scores.append(score)
+        track.gaps = [gap for gap in track.gaps if gap != time]
+        points = geometry.transform(step, state.points)
+        self._states[number] = _LastState(points, state.colors, step)
+        self._trim()
+
+    def predicted(self, number: int) -> Float64Array | None:
+        """(4, 4) pose of a track if it moves as in its last step; None where it rested, or has no pose any more.
+
+        It holds after `update`, for a track that the pair did not move.
+        """
+        state = self._states.get(number)
+        if state is None or not 0 < state.age <= self.settings.coast:
+            return None
+        return np.linalg.matrix_power(state.world_step, state.age) @ self._tracks[number].world_T_object[-1]
+
     def reset(self) -> None:
         """Discard the state, as after a cut of the sequence; objects of the next pair get new ids."""
         self.camera_times, self.world_T_camera = [], []
@@ -175,8 +208,34 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
+    def _poses(
+        self, number: int, obj: ObjectMotion, world_T_prev: Float64Array, world_T_curr: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Poses `camera_T_object` of a track before and after an object's motion, both in the current camera."""
+        world_T_object = self._tracks[number].world_T_object[-1]
+        before = geometry.inverse(world_T_curr) @ world_T_object
+        return before, geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev) @ world_T_object
+
+    def _is_refused(
+        self,
+        world_T_prev: Float64Array,
+        world_T_curr: Float64Array,
+        refuses: Callable[[int, Float64Array, Float64Array], bool],
+        number: int,
+        obj: ObjectMotion,
+    ) -> bool:
+        """Whether the current frame shows that an object is not that of a track."""
+        if obj.score < self.settings.min_score:
+            return False  # such a motion needs to be confirmed anyway
+        return refuses(number, *self._poses(number, obj, world_T_prev, world_T_curr))
+
     def _link(
-        self, objects: list[ObjectMotion], surfaces: list[_Surface], camera: Camera, world_T_prev: Float64Array
+        self,
+        objects: list[ObjectMotion],
+        surfaces: list[_Surface],
+        camera: Camera,
+        world_T_prev: Float64Array,
+        refused: Callable[[int, ObjectMotion], bool] | None,
     ) -> list[int | None]:
         """Track id of each object, None for a new object: the assignment of largest overlap (Hungarian method)."""
         ids = list(self._states)
@@ -199,6 +258,10 @@ class Tracker:
                     if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
                         shared = footprint_overlap(points, expected, camera, self.settings.footprint_cells)
                         overlap[row, column] = max(overlap[row, column], shared)
+        if refused is not None:
+            for row, column in np.argwhere(overlap >= self.settings.min_overlap).tolist():
+                if refused(ids[column], objects[row]):
+                    overlap[row, column] = 0
         # Certain motions come first: a guess does not take a track from them.
         weight = np.array([1.0 if obj.score >= self.settings.min_score else 0.1 for obj in objects]).reshape(-1, 1)
         links: list[int | None] = [None] * len(objects)
@@ -217,12 +280,7 @@ class Tracker:
         """The track with this id, or a new one that starts at the object's position in the previous frame."""
         if track_id is not None:
             track = self._tracks[track_id]
-            if track.times[-1] < prev_time:
-                # The object is assumed to have rested until the previous frame.
-                track.times.append(prev_time)
-                track.world_T_object.append(track.world_T_object[-1])
-                track.labels.append(0)
-                track.scores.append(track.scores[-1])
+            self._rest_until(track, prev_time)
             return track
         start = np.eye(4)
         start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
@@ -230,6 +288,15 @@ class Tracker:
         self._tracks[self._next] = track
         self._next += 1
         return track
+
+    @staticmethod
+    def _rest_until(track: Track, prev_time: float) -> None:
+        """Add a pose at a pair's previous frame, until which the object is assumed to have rested."""
+        if track.times[-1] < prev_time:
+            track.times.append(prev_time)
+            track.world_T_object.append(track.world_T_object[-1])
+            track.labels.append(0)
+            track.scores.append(track.scores[-1])
 
     def _age(self, associated: set[int]) -> None:
         """Age the tracks without an association, and end those older than `max_age`."""

@@ -1,0 +1,36 @@
+"""Thresholds by which models find motions that the estimates of pairs lack, and refuse wrong ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from objectflow.alignment.fitting import FitSettings
+from objectflow.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class FollowSettings(Settings):
+    """When a known object that no estimate moved is followed by its model, and when an estimate is refused."""
+
+    max_rest: float = setting(0.85, minimum=0, maximum=1)
+    """Share of the model's visible points that a frame confirms at the last pose, from which the object rests."""
+    min_points: int = setting(60, minimum=1)
+    """Minimum number of confirmed points."""
+    min_present: float = setting(0.7, minimum=0, maximum=1)
+    """Minimum share of the model's visible points that the frame must confirm at the new pose."""
+    min_visible: float = setting(0.3, minimum=0, maximum=1)
+    """Minimum share of the facing points that nothing may hide at the new pose."""
+    min_gain: float = setting(0.15, minimum=0, maximum=1)
+    """Minimum increase of the confirmed share of the visible points, relative to rest; and its minimum excess over
+    the share that the previous frame confirms at the new pose, where the object cannot have been."""
+    max_claimed: float = setting(0.5, minimum=0, maximum=1)
+    """Largest share of the mask at the new pose that other known objects may cover."""
+    max_starts: int = setting(3, minimum=1)
+    """Maximum number of initial poses per object that are registered; the others fit the frame less."""
+    min_matches: int = setting(6, minimum=3)
+    """Minimum number of matches between the frames on an object from which its motion is fitted."""
+    fit: FitSettings = FitSettings()
+    """The fit of a motion to the matches."""
+    refused_rest: float = setting(0.9, minimum=0, maximum=1)
+    """Share of the model's visible points that the frame confirms at the last pose, from which an estimated motion
+    that explains the frame less well is refused."""
