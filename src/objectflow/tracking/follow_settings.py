@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from objectflow.alignment.fitting import FitSettings
 from objectflow.settings import Settings, setting
+from objectflow.tracking.looks import LooksSettings
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,14 @@ class FollowSettings(Settings):
     """Minimum number of matches between the frames on an object from which its motion is fitted."""
     fit: FitSettings = FitSettings()
     """The fit of a motion to the matches."""
+    looks: LooksSettings = LooksSettings()
+    """Features by which a lost object is searched in the whole frame, one object per frame."""
+    twin_distance: float = setting(0.03, minimum=0)
+    """Metres: an object is not found again this close to where something else was seen that looks the same."""
+    max_candidates: int = setting(3, minimum=0)
+    """Maximum number of lost objects, those of the most similar colours, that a new object is compared with."""
+    min_overlap: float = setting(0.5, minimum=0, maximum=1)
+    """Minimum intersection over union of the masks of a new object and of the lost object that it is."""
     refused_rest: float = setting(0.9, minimum=0, maximum=1)
     """Share of the model's visible points that the frame confirms at the last pose, from which an estimated motion
     that explains the frame less well is refused."""

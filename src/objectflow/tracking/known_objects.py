@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,29 +12,20 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
+from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.model_evidence import ModelEvidence
 from objectflow.tracking.model_fit import FrameView
-from objectflow.tracking.model_motion import PairViews, is_refuted, matched_motion, model_motion
+from objectflow.tracking.model_motion import (
+    ModelPose,
+    PairViews,
+    best_pose,
+    matched_motion,
+    model_motion,
+)
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
-
-
-@dataclass(eq=False)
-class KnownObject:
-    """An object that has moved at least once.
-
-    Attributes:
-        model: its accumulated surface.
-        world_T_object: (4, 4) its latest pose.
-        moved: whether it moved in the latest pair.
-        present: share of the model's visible points that the latest frame confirmed, 0..1; 0 while it is hidden.
-    """
-
-    model: SurfaceModel
-    world_T_object: Float64Array
-    moved: bool = True
-    present: float = 0.0
 
 
 class KnownObjects:
@@ -49,6 +39,7 @@ class KnownObjects:
     def __init__(self, settings: KnownSettings | None = None) -> None:
         self.settings = settings or KnownSettings()
         self.objects: dict[int, KnownObject] = {}
+        self._searches = 0
 
     def view(self, frame: PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> FrameView:
         """A frame, prepared for its comparison with the models.
@@ -59,37 +50,19 @@ class KnownObjects:
         """
         return FrameView(frame, self.settings, noise)
 
-    def confirms(self, view: FrameView, number: int, before: Float64Array, after: Float64Array) -> bool:
-        """Whether a frame confirms that an object moved, by its model: as evidence beside an estimate of low score.
+    def evidence(
+        self, view: FrameView, labels: LabelImage, prev_T_curr: Float64Array, tracker: Tracker
+    ) -> ModelEvidence:
+        """The models as evidence for the association of a pair's objects.
 
         Args:
             view: the current frame.
-            number: of the track.
-            before, after: (4, 4) `camera_T_object` if the object rests, and if it moves as estimated.
+            labels: (H, W) int32 of the estimate.
+            prev_T_curr: (4, 4) motion of the static background.
+            tracker: before the pair.
         """
-        known = self.objects.get(number)
-        if known is None:
-            return False
-        pose, better = view.register(known.model, after)
-        fit = view.fit(known.model, pose if better else after)
-        seen = fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present
-        return seen and view.is_better(known.model, before, pose if better else after)
-
-    def refuses(self, view: FrameView, number: int, before: Float64Array, after: Float64Array) -> bool:
-        """Whether a frame shows that an object rests, although an estimate moves it.
-
-        Args:
-            view: the current frame.
-            number: of the track.
-            before, after: (4, 4) `camera_T_object` if the object rests, and if it moves as estimated.
-        """
-        known, settings = self.objects.get(number), self.settings.follow
-        if known is None:
-            return False
-        fit = view.fit(known.model, before)
-        if fit.fits.sum() < settings.min_points or fit.visible < settings.min_visible:
-            return False
-        return fit.present >= settings.refused_rest and view.is_better(known.model, after, before)
+        prev_T_world = geometry.inverse(tracker.world_T_camera[-1]) if tracker.world_T_camera else None
+        return ModelEvidence(self.objects, view, labels, prev_T_curr, prev_T_world, self.settings)
 
     def follow(
         self,
@@ -114,34 +87,72 @@ class KnownObjects:
         """
         if not tracker.world_T_camera:
             return ()
-        settings = self.settings.follow
         curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
-        numbers = {track.id for track in tracker.tracks}
-        followed = []
-        for number in sorted(set(self.objects) & numbers - set(tracks.values())):
-            model, world_T_object = self.objects[number].model, self.objects[number].world_T_object
-            rest = curr_T_world @ world_T_object
-            if not is_refuted(views.curr, model, rest, settings):
+        followed: list[int] = []
+        lost: list[int] = []
+        for number in sorted(set(self.objects) & tracker.alive - set(tracks.values())):
+            known = self.objects[number]
+            rest = curr_T_world @ known.world_T_object
+            fit = views.curr.fit(known.model, rest)
+            seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
+            if seen and fit.present >= self.settings.follow.max_rest:
                 continue
-            prev_T_object = views.prev_T_curr @ rest
-            starts = [rest]
-            predicted = tracker.predicted(number)
-            if predicted is not None:
-                starts.append(curr_T_world @ predicted)
-            motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
-            matched = matched_motion(views, number, settings)
-            if matched is not None:
-                motions.append(matched)
-            starts += [geometry.inverse(prev_T_curr) @ prev_T_object for prev_T_curr in motions]
-            found = model_motion(views, model, rest, starts, settings)
-            if found is None or self._is_claimed(
-                views.curr, number, found.curr_T_object, motion, tracks, curr_T_world
-            ):
-                continue
-            pose = tracker.world_T_camera[-1] @ found.curr_T_object
-            tracker.follow(number, prev_time, time, pose, found.present)
-            followed.append(number)
-        return tuple(followed)
+            found = None
+            if seen:
+                starts = self._starts(views, number, motion, tracker, rest)
+                found = model_motion(views, known.model, rest, starts, self.settings.follow)
+            if found is None:
+                if not seen or fit.present < self.settings.min_present:
+                    lost.append(number)
+            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, curr_T_world):
+                tracker.follow(
+                    number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
+                )
+                followed.append(number)
+        # One lost object per frame bounds the time; the one that was not searched for longest is next.
+        self._searches += 1
+        for number in sorted(lost, key=lambda number: (self.objects[number].searched, number))[:1]:
+            self.objects[number].searched = self._searches
+            found = self._search(views.curr, number, motion, tracks, curr_T_world)
+            if found is not None:
+                tracker.follow(
+                    number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
+                )
+                followed.append(number)
+        return tuple(sorted(followed))
+
+    def _starts(
+        self, views: PairViews, number: int, motion: SceneMotion, tracker: Tracker, rest: Float64Array
+    ) -> list[Float64Array]:
+        """Initial poses `curr_T_object` of a moving object: at rest, at its last speed, and by motions of the pair."""
+        starts = [rest]
+        predicted = tracker.predicted(number)
+        if predicted is not None:
+            starts.append(geometry.inverse(tracker.world_T_camera[-1]) @ predicted)
+        motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
+        matched = matched_motion(views, number, self.settings.follow)
+        if matched is not None:
+            motions.append(matched)
+        return starts + [geometry.inverse(prev_T_curr) @ views.prev_T_curr @ rest for prev_T_curr in motions]
+
+    def _search(
+        self,
+        view: FrameView,
+        number: int,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        curr_T_world: Float64Array,
+    ) -> ModelPose | None:
+        """The pose at which a lost object is found again by its looks, confirmed by its model."""
+        known, settings = self.objects[number], self.settings.follow
+        start = known.looks.find(view.frame, view.noise, settings.looks)
+        found = None if start is None else best_pose(view, known.model, [start], settings)
+        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, curr_T_world):
+            return None
+        center = known.model.points.mean(axis=0)
+        place = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
+        twin = known.twin is not None and np.linalg.norm(place - known.twin) < settings.twin_distance
+        return None if twin else found
 
     def _is_claimed(
         self,
@@ -222,6 +233,7 @@ class KnownObjects:
                 mask, depth = view.mask(known.model, pose)
                 if mask.sum() >= self.settings.min_pixels:
                     regions[number], depths[number] = mask, depth
+        tracker.keep(number for number, known in self.objects.items() if known.present)
         out = np.zeros((height, width), np.int32)
         best = np.full((height, width), np.inf, np.float32)
         # Pixels that two objects claim belong to the one whose model is nearer to the measured depth; the masks of
@@ -256,6 +268,7 @@ class KnownObjects:
             known.model.count(fit.fits, fit.missing)
         known.world_T_object, known.moved = poses[-1], True
         known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
+        known.looks.add(view.frame, mask, curr_T_world @ poses[-1], self.settings.follow.looks)
 
     def _rest(
         self, known: KnownObject, poses: list[Float64Array], view: FrameView, curr_T_world: Float64Array
@@ -265,6 +278,18 @@ class KnownObjects:
         if fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present:
             poses[-1] = known.world_T_object = self._registered(known.model, known.world_T_object, view, curr_T_world)
             known.moved = False
+            self._note_twin(known, view, curr_T_world)
+
+    def _note_twin(self, known: KnownObject, view: FrameView, curr_T_world: Float64Array) -> None:
+        """Note whether something beside an object at rest looks the same."""
+        settings = self.settings.follow
+        own, _ = view.mask(known.model, curr_T_world @ known.world_T_object)
+        start = known.looks.find(view.frame, view.noise, settings.looks, ~own)
+        found = None if start is None else best_pose(view, known.model, [start], settings)
+        known.twin = None
+        if found is not None:
+            center = known.model.points.mean(axis=0)
+            known.twin = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
 
     def _registered(
         self, model: SurfaceModel, world_T_object: Float64Array, view: FrameView, curr_T_world: Float64Array

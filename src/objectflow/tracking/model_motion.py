@@ -47,12 +47,6 @@ class PairViews:
     prev_known: LabelImage | None
 
 
-def is_refuted(view: FrameView, model: SurfaceModel, pose: Float64Array, settings: FollowSettings) -> bool:
-    """Whether a frame shows something else at a pose (4, 4) `curr_T_object` of a model, rather than hiding it."""
-    fit = view.fit(model, pose)
-    return (fit.fits | fit.missing).sum() >= settings.min_points and fit.present < settings.max_rest
-
-
 def model_motion(
     views: PairViews,
     model: SurfaceModel,
@@ -76,7 +70,29 @@ def model_motion(
         None where no pose is confirmed.
     """
     view = views.curr
-    at_given = view.fit(model, given)
+    found = best_pose(view, model, starts, settings)
+    if found is None:
+        return None
+    before = views.prev.fit(model, views.prev_T_curr @ found.curr_T_object)
+    if found.present < max(view.fit(model, given).present, before.present) + settings.min_gain:
+        return None
+    return found if view.is_better(model, given, found.curr_T_object) else None
+
+
+def best_pose(
+    view: FrameView, model: SurfaceModel, starts: Sequence[Float64Array], settings: FollowSettings
+) -> ModelPose | None:
+    """The registered initial pose at which a frame confirms most of a model.
+
+    Args:
+        view: the frame.
+        model: of an object.
+        starts: (4, 4) each, initial poses `curr_T_object`.
+        settings: thresholds.
+
+    Returns:
+        None where the frame confirms too little of the model.
+    """
     order = sorted(range(len(starts)), key=lambda k: -_confirmed(view.fit(model, starts[k])))
     best: tuple[float, Float64Array, ModelFit] | None = None
     for k in order[: settings.max_starts]:
@@ -88,13 +104,8 @@ def model_motion(
     if best is None:
         return None
     _, pose, fit = best
-    if fit.fits.sum() < settings.min_points or fit.visible < settings.min_visible:
-        return None
-    before = views.prev.fit(model, views.prev_T_curr @ pose)
-    needed = max(at_given.present, before.present) + settings.min_gain
-    if fit.present < max(settings.min_present, needed):
-        return None
-    return ModelPose(pose, fit.present) if view.is_better(model, given, pose) else None
+    seen = fit.fits.sum() >= settings.min_points and fit.visible >= settings.min_visible
+    return ModelPose(pose, fit.present) if seen and fit.present >= settings.min_present else None
 
 
 def matched_motion(views: PairViews, number: int, settings: FollowSettings) -> Float64Array | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -128,15 +127,15 @@ class SequenceEstimator:
             unknown = unknown_motion(found.labels.shape)
             found = replace(unknown, method=found.method, seconds=found.seconds, settings=found.settings, notes=(CUT,))
         view = self.known_objects.view(pair.curr, self.noise.add(pair, found))
+        static = np.eye(4) if found.camera_motion is None else found.camera_motion
+        evidence = self.known_objects.evidence(view, found.labels, static, self.tracker)
         tracks = self.tracker.update(
             prev_time,
             frame,
             time,
             found,
-            partial(self.known_objects.confirms, view),
-            partial(self.known_objects.refuses, view),
+            evidence,
         )
-        static = np.eye(4) if found.camera_motion is None else found.camera_motion
         views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
         followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
         known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)

@@ -6,10 +6,10 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -51,6 +51,35 @@ class TrackerSettings(Settings):
     """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
     max_points: int = setting(600, minimum=1)
     """Maximum number of surface points stored per track."""
+
+
+class Evidence(Protocol):
+    """What the current frame of a pair shows of objects whose shape is known."""
+
+    def confirms(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether the frame confirms a step of low score; such a step is no gap.
+
+        Args:
+            number: of the track.
+            before, after: (4, 4) `camera_T_object` if the object rests, and after the step.
+        """
+        ...
+
+    def refuses(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether the frame shows that a step, with the same arguments, is not that of the track."""
+        ...
+
+    def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
+        """The track that an object without an association is, and its pose `camera_T_object` (4, 4) in the frame.
+
+        Args:
+            obj: of the estimate.
+            candidates: tracks without an association, those of the most similar colours first.
+
+        Returns:
+            None for a new object.
+        """
+        ...
 
 
 class _Surface(NamedTuple):
@@ -101,8 +130,7 @@ class Tracker:
         curr: RgbdFrame,
         time: float,
         motion: SceneMotion,
-        confirms: Callable[[int, Float64Array, Float64Array], bool] | None = None,
-        refuses: Callable[[int, Float64Array, Float64Array], bool] | None = None,
+        evidence: Evidence | None = None,
     ) -> dict[int, int]:
         """Add the next pair, whose previous frame must be the current frame of the last call.
 
@@ -111,9 +139,7 @@ class Tracker:
             curr: the pair's current frame.
             time: of the current frame, later than `prev_time`.
             motion: the estimate for the pair.
-            confirms: whether the current frame confirms a step of low score, by the id of the track and its poses
-                `camera_T_object` (4, 4) before and after the step, both in the current camera; such a step is no gap.
-            refuses: whether the current frame shows that a step, with the same arguments, is not that of the track.
+            evidence: what the current frame shows of objects whose shape is known; None without it.
 
         Returns:
             Track id of each object of `motion` that has a track, by the object's id.
@@ -143,7 +169,7 @@ class Tracker:
         objects = [o for o in motion.objects if o.moving]
         surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
-        refused = None if refuses is None else partial(self._is_refused, world_T_prev, world_T_curr, refuses)
+        refused = None if evidence is None else partial(self._is_refused, world_T_prev, world_T_curr, evidence)
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
@@ -153,12 +179,16 @@ class Tracker:
                 if number is None:
                     continue
                 before, after = self._poses(number, obj, world_T_prev, world_T_curr)
-                if confirms is None or not confirms(number, before, after):
+                if evidence is None or not evidence.confirms(number, before, after):
                     self._tracks[number].gaps.append(time)
                     continue
-            track = self._track(number, obj, prev_time, world_T_prev)
+            again = None
+            if number is None and evidence is not None:
+                again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
+            track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
+            pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
+            track.world_T_object.append(pose)
             track.times.append(time)
-            track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
             track.world_T_camera = world_T_curr
@@ -190,6 +220,17 @@ class Tracker:
         self._states[number] = _LastState(points, state.colors, step)
         self._trim()
 
+    def keep(self, numbers: Iterable[int]) -> None:
+        """Let tracks of objects that are seen at rest not end."""
+        for number in numbers:
+            if number in self._states:
+                self._states[number].age = min(self._states[number].age, self.settings.max_age - 1)
+
+    @property
+    def alive(self) -> set[int]:
+        """The tracks that have not ended."""
+        return set(self._states)
+
     def predicted(self, number: int) -> Float64Array | None:
         """(4, 4) pose of a track if it moves as in its last step; None where it rested, or has no pose any more.
 
@@ -208,6 +249,16 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
+    def _similar(self, surface: _Surface, left_out: Collection[int | None]) -> list[int]:
+        """The tracks whose colours are similar to those of a surface, the most similar first."""
+        similarity = {
+            number: float(np.sqrt(surface.colors * state.colors).sum())
+            for number, state in self._states.items()
+            if number not in left_out
+        }
+        similar = [number for number, value in similarity.items() if value >= self.settings.min_color_similarity]
+        return sorted(similar, key=lambda number: (-similarity[number], number))
+
     def _poses(
         self, number: int, obj: ObjectMotion, world_T_prev: Float64Array, world_T_curr: Float64Array
     ) -> tuple[Float64Array, Float64Array]:
@@ -220,14 +271,14 @@ class Tracker:
         self,
         world_T_prev: Float64Array,
         world_T_curr: Float64Array,
-        refuses: Callable[[int, Float64Array, Float64Array], bool],
+        evidence: Evidence,
         number: int,
         obj: ObjectMotion,
     ) -> bool:
         """Whether the current frame shows that an object is not that of a track."""
         if obj.score < self.settings.min_score:
             return False  # such a motion needs to be confirmed anyway
-        return refuses(number, *self._poses(number, obj, world_T_prev, world_T_curr))
+        return evidence.refuses(number, *self._poses(number, obj, world_T_prev, world_T_curr))
 
     def _link(
         self,
