@@ -194,7 +194,7 @@ def add_sequence(
         if not sequence.tracker.world_T_camera:
             raise SystemExit(f"{curr.sequence}/{curr.frame}: the motion of the camera was not found")
         world_T_camera = sequence.tracker.world_T_camera[-1]
-        views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, world_T_camera))
+        views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, world_T_camera, step.known))
         tracks = {track.id: track for track in sequence.tracks}
         steps = score.add_pair(prev, curr, step.motion, step.tracks, last, step.known, step.followed)
         for obj, track_id in steps:

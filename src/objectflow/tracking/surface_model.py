@@ -114,8 +114,9 @@ class SurfaceModel:
         # A voxel covers the pixels around its centre, so that the surface has no holes.
         size = self.voxel * camera.fx / float(np.median(points[:, 2]))
         radius = min(_MAX_RADIUS, max(1, int(np.ceil(0.75 * size))))
-        low = np.maximum(pixels.min(axis=0) - radius, 0)
-        high = np.minimum(pixels.max(axis=0) + radius + 1, [camera.width, camera.height])
+        # The window has an empty margin of a pixel, which erosion needs; at the image border it has none.
+        low = np.maximum(pixels.min(axis=0) - radius - 1, 0)
+        high = np.minimum(pixels.max(axis=0) + radius + 2, [camera.width, camera.height])
         if (high <= low).any():
             return depth, index
         width, height = (high - low).tolist()
