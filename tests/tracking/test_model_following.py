@@ -132,3 +132,36 @@ def test_the_track_of_an_object_that_is_seen_at_rest_does_not_end() -> None:
     _, sequence, steps = play([*pushed(4), *[rest] * 8, *again], missed=set(), tracker=tracker)
     assert [set(step.tracks.values()) for step in steps[-2:]] == [{1}, {1}]
     assert len(sequence.tracks) == 1
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_two_that_moved_as_one_and_come_apart_are_two_tracks_with_the_whole_trajectory(apart: bool) -> None:
+    """Plates 1 and 3 touch and slide together as one object; then plate 1 slides on alone, or both do."""
+    together = [{1: (-0.3 + STEP * k, 0.0, 1.0), 3: (-0.06 + STEP * k, 0.0, 1.0)} for k in range(5)]
+    rest = together[-1]
+    alone: list[dict[int, Place]] = [
+        {1: (rest[1][0], -0.04 * k, 1.0), 3: (rest[3][0], 0.0 if apart else -0.04 * k, 1.0)} for k in (1, 2)
+    ]
+    places = [*together, rest, *alone, alone[-1]]
+    scene = PlateScene()
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        found = scene.motion(round(curr.timestamp or 0))
+        if len(found.objects) == 2:  # one object of both
+            labels = np.minimum(found.labels, 1).astype(np.int32)
+            return SceneMotion(labels, found.scene_flow, (replace(found.objects[0], pixels=int(labels.sum())),))
+        return found
+
+    sequence = SequenceEstimator(estimate)
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    assert len(sequence.tracks) == (2 if apart else 1)
+    last = steps[-1].known
+    if not apart:
+        assert iou(last == 1, scene.labels[8] > 0) > 0.9
+        return
+    moved, rested = sequence.tracks
+    assert rested.times[:5] == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(rested.world_T_object[:5], moved.world_T_object[:5])
+    assert iou(last == moved.id, scene.labels[8] == 1) > 0.85
+    assert iou(last == rested.id, scene.labels[8] == 3) > 0.85

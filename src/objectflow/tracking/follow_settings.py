@@ -40,6 +40,10 @@ class FollowSettings(Settings):
     """Maximum number of lost objects, those of the most similar colours, that a new object is compared with."""
     min_overlap: float = setting(0.5, minimum=0, maximum=1)
     """Minimum intersection over union of the masks of a new object and of the lost object that it is."""
+    min_part: float = setting(0.25, minimum=0, maximum=0.5)
+    """Minimum share of a model's visible points in each part, where one part moves and the other one rests."""
+    part_margin: int = setting(3, minimum=0)
+    """Pixels around the mask of the moving part that do not count as evidence for a part at rest."""
     refused_rest: float = setting(0.9, minimum=0, maximum=1)
     """Share of the model's visible points that the frame confirms at the last pose, from which an estimated motion
     that explains the frame less well is refused."""

@@ -23,6 +23,7 @@ from objectflow.tracking.model_motion import (
     matched_motion,
     model_motion,
 )
+from objectflow.tracking.parts import resting_part
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
@@ -204,8 +205,11 @@ class KnownObjects:
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))
         masks = {track: labels == label for label, track in tracks.items()}
+        alive = {track.id for track in tracker.tracks}
+        self.objects = {number: known for number, known in self.objects.items() if number in alive}
+        for number in sorted(set(masks) & set(self.objects)):
+            self._split(number, masks[number], view, tracker)
         by_id = {track.id: track for track in tracker.tracks}
-        self.objects = {number: known for number, known in self.objects.items() if number in by_id}
         regions: dict[int, BoolMask] = {}
         depths: dict[int, np.ndarray] = {}
         for number in sorted({*self.objects, *masks}):
@@ -233,7 +237,7 @@ class KnownObjects:
                 mask, depth = view.mask(known.model, pose)
                 if mask.sum() >= self.settings.min_pixels:
                     regions[number], depths[number] = mask, depth
-        tracker.keep(number for number, known in self.objects.items() if known.present)
+        tracker.keep(number for number, known in self.objects.items() if known.present >= self.settings.min_present)
         out = np.zeros((height, width), np.int32)
         best = np.full((height, width), np.inf, np.float32)
         # Pixels that two objects claim belong to the one whose model is nearer to the measured depth; the masks of
@@ -244,6 +248,27 @@ class KnownObjects:
             wins = regions[number] & (off < best)
             out[wins], best[wins] = number, off[wins]
         return np.asarray(resize_nearest(out, shape), dtype=np.int32)
+
+    def _split(self, number: int, mask: BoolMask, view: FrameView, tracker: Tracker) -> None:
+        """Give a part of a moving object that rests a track of its own, with the trajectory of both up to now."""
+        known, settings = self.objects[number], self.settings.follow
+        poses = next(track.world_T_object for track in tracker.tracks if track.id == number)
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        rest = curr_T_world @ known.world_T_object
+        resting = resting_part(view, known.model, rest, curr_T_world @ poses[-1], mask, settings)
+        if resting is None:
+            return
+        part = known.model.take(resting)
+        shown, _ = view.mask(part, rest)
+        for other, another in self.objects.items():
+            if other != number:
+                shown &= ~view.mask(another.model, curr_T_world @ another.world_T_object)[0]
+        if shown.sum() < self.settings.min_pixels:
+            return  # a part of another known object, which a mask had contained
+        points = geometry.transform(known.world_T_object, part.points)
+        track = tracker.split(number, points, part.colors)
+        self.objects[track.id] = KnownObject(part, known.world_T_object, moved=False)
+        self.objects[track.id].looks.add(view.frame, shown, rest, settings.looks)
 
     def _move(
         self,

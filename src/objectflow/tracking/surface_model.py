@@ -90,6 +90,21 @@ class SurfaceModel:
         chosen = self._counts[:, 2] <= self._counts[:, 1]
         self._keys, self._sums, self._counts = self._keys[chosen], self._sums[chosen], self._counts[chosen]
 
+    def take(self, chosen: BoolMask) -> SurfaceModel:
+        """Take voxels out of the model.
+
+        Args:
+            chosen: (N,) bool.
+
+        Returns:
+            The model of these voxels, in the same frame.
+        """
+        part = SurfaceModel(self.voxel, self.max_points)
+        part._keys, part._sums, part._counts = self._keys[chosen], self._sums[chosen], self._counts[chosen]
+        kept = ~chosen
+        self._keys, self._sums, self._counts = self._keys[kept], self._sums[kept], self._counts[kept]
+        return part
+
     def render(self, camera_T_object: Float64Array, frame: PreparedFrame) -> tuple[NDArray[np.float32], Int64Array]:
         """Render the surface that faces the camera.
 

@@ -22,7 +22,7 @@ from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.tracking.track import Track
-from objectflow.typing import BoolMask, Float64Array
+from objectflow.typing import BoolMask, Float64Array, UInt8Array
 
 _BINS = (4, 16, 16)
 """Histogram bins of lightness, which light changes, and of the two colour-opponent channels of CIELAB."""
@@ -220,6 +220,29 @@ class Tracker:
         self._states[number] = _LastState(points, state.colors, step)
         self._trim()
 
+    def split(self, number: int, points: Float64Array, colors: Float64Array) -> Track:
+        """A track of a part that rests in the latest pair, while the rest of the object moved.
+
+        Args:
+            number: of the object's track, which has moved in the latest pair.
+            points: (N, 3) metres in the world: the surface of the part.
+            colors: (N, 3) its colours, RGB, 0..255.
+
+        Returns:
+            The new track, with the poses of the object up to the previous frame.
+        """
+        whole = self._tracks[number]
+        count = len(whole.times) - 1
+        labels = [0] * count
+        track = Track(self._next, whole.times[:count], whole.world_T_object[:count], labels, whole.scores[:count])
+        track.world_T_camera = whole.world_T_camera
+        self._tracks[track.id] = track
+        self._next += 1
+        pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
+        histogram = _histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
+        self._states[track.id] = _LastState(points[pick], histogram, np.eye(4), 1)
+        return track
+
     def keep(self, numbers: Iterable[int]) -> None:
         """Let tracks of objects that are seen at rest not end."""
         for number in numbers:
@@ -405,13 +428,18 @@ def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: i
 def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> _Surface:
     """The surface of a mask, of which points are subsampled evenly."""
     rows, columns = np.nonzero(mask & frame.valid)
-    lab = cv2.cvtColor(frame.color[rows, columns].reshape(1, -1, 3), cv2.COLOR_RGB2LAB) if len(rows) else None
-    colors = np.zeros(_BINS[0] * _BINS[1] * _BINS[2])
-    if lab is not None:
-        counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
-        colors = counts.ravel() / max(1.0, counts.sum())
+    colors = _histogram(frame.color[rows, columns])
     if len(rows) > max_points:
         pick = np.linspace(0, len(rows) - 1, max_points).astype(int)
         rows, columns = rows[pick], columns[pick]
     depth = frame.depth[rows, columns].astype(np.float64)
     return _Surface(geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera), colors)
+
+
+def _histogram(colors: UInt8Array) -> Float64Array:
+    """The normalised histogram of RGB colours (N, 3) in CIELAB."""
+    if not len(colors):
+        return np.zeros(_BINS[0] * _BINS[1] * _BINS[2])
+    lab = cv2.cvtColor(colors.reshape(1, -1, 3), cv2.COLOR_RGB2LAB)
+    counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
+    return np.asarray(counts.ravel() / max(1.0, counts.sum()))
