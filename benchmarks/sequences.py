@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -122,6 +123,8 @@ class Score(FollowedSteps):
         vertices: millimetres from each vertex of each model to the true surface.
         covered: share of each modelled object's seen surface within `NEAR` of its mesh.
         moved, modelled: number of objects that moved, and of those with a model.
+        pairs: number of pairs.
+        estimating, following: CPU seconds of the method, and of everything else but the models' fusion.
     """
 
     tracks: PoseErrors = dataclasses.field(default_factory=PoseErrors)
@@ -131,6 +134,9 @@ class Score(FollowedSteps):
     covered: list[float] = dataclasses.field(default_factory=list)
     moved: int = 0
     modelled: int = 0
+    pairs: int = 0
+    estimating: float = 0.0
+    following: float = 0.0
 
 
 def main(settings: Settings) -> None:
@@ -148,7 +154,8 @@ def main(settings: Settings) -> None:
             add_sequence(scores[method], frames, images, motions(estimator, frames, images), folder)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
-    console.print(following_table(title, scores), model_table(scores), pose_table(scores), sep="\n")
+    tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
+    console.print(*tables, sep="\n")
 
 
 def noisy(frame: RgbdFrame, scale: float, seed: int) -> RgbdFrame:
@@ -180,7 +187,14 @@ def add_sequence(
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
     given = iter(results)
-    sequence = SequenceEstimator(lambda prev, curr: next(given))
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        began = time.process_time()
+        found = next(given)
+        score.estimating += time.process_time() - began
+        return found
+
+    sequence = SequenceEstimator(estimate)
     last: dict[int, int] = {}
     starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}
@@ -189,8 +203,11 @@ def add_sequence(
     sequence.update(images[0], frames[0].frame / FRAME_RATE)
     last_number = len(frames) - 1
     for number, ((prev, curr), image) in enumerate(zip(itertools.pairwise(frames), images[1:], strict=True), start=1):
+        began, estimating = time.process_time(), score.estimating
         step = sequence.update(image, curr.frame / FRAME_RATE)
         assert step is not None
+        score.following += time.process_time() - began - (score.estimating - estimating)
+        score.pairs += 1
         if not sequence.tracker.world_T_camera:
             raise SystemExit(f"{curr.sequence}/{curr.frame}: the motion of the camera was not found")
         world_T_camera = sequence.tracker.world_T_camera[-1]
@@ -335,6 +352,15 @@ def pose_table(scores: dict[str, Score]) -> Table:
                 for age in names
             ]
             table.add_row(f"{method}, {kind}", *cells)
+    return table
+
+
+def time_table(scores: dict[str, Score]) -> Table:
+    table = Table("method", "CPU s a pair", "tracks and known objects", "together / method alone")
+    for method, score in scores.items():
+        alone, more = score.estimating / score.pairs, score.following / score.pairs
+        ratio = "-" if method == ORACLE else f"{(alone + more) / alone:.2f}"
+        table.add_row(method, f"{alone:.2f}", f"{more:.2f}", ratio)
     return table
 
 

@@ -15,13 +15,15 @@ class FollowSettings(Settings):
 
     max_rest: float = setting(0.85, minimum=0, maximum=1)
     """Share of the model's visible points that a frame confirms at the last pose, from which the object rests."""
+    min_drop: float = setting(0.08, minimum=0, maximum=1)
+    """Minimum loss of that share since the last frame, at which an object that rested may have moved."""
     min_points: int = setting(60, minimum=1)
     """Minimum number of confirmed points."""
     min_present: float = setting(0.7, minimum=0, maximum=1)
     """Minimum share of the model's visible points that the frame must confirm at the new pose."""
     min_visible: float = setting(0.3, minimum=0, maximum=1)
     """Minimum share of the facing points that nothing may hide at the new pose."""
-    min_gain: float = setting(0.15, minimum=0, maximum=1)
+    min_gain: float = setting(0.1, minimum=0, maximum=1)
     """Minimum increase of the confirmed share of the visible points, relative to rest; and its minimum excess over
     the share that the previous frame confirms at the new pose, where the object cannot have been."""
     max_claimed: float = setting(0.5, minimum=0, maximum=1)

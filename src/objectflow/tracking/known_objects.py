@@ -96,10 +96,12 @@ class KnownObjects:
             rest = curr_T_world @ known.world_T_object
             fit = views.curr.fit(known.model, rest)
             seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
-            if seen and fit.present >= self.settings.follow.max_rest:
+            dropped = known.present - fit.present >= self.settings.follow.min_drop
+            if seen and fit.present >= self.settings.follow.max_rest and not dropped:
                 continue
             found = None
-            if seen:
+            # A model that fits as badly as in the last frame is inexact or half hidden, and does not move.
+            if seen and (known.moved or dropped):
                 starts = self._starts(views, number, motion, tracker, rest)
                 found = model_motion(views, known.model, rest, starts, self.settings.follow)
             if found is None:
