@@ -6,12 +6,10 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
 
-import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -21,11 +19,10 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
+from objectflow.tracking.evidence import Evidence
+from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
 from objectflow.tracking.track import Track
-from objectflow.typing import BoolMask, Float64Array, UInt8Array
-
-_BINS = (4, 16, 16)
-"""Histogram bins of lightness, which light changes, and of the two colour-opponent channels of CIELAB."""
+from objectflow.typing import Float64Array
 
 
 @dataclass(frozen=True)
@@ -51,42 +48,6 @@ class TrackerSettings(Settings):
     """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
     max_points: int = setting(600, minimum=1)
     """Maximum number of surface points stored per track."""
-
-
-class Evidence(Protocol):
-    """What the current frame of a pair shows of objects whose shape is known."""
-
-    def confirms(self, number: int, before: Float64Array, after: Float64Array) -> bool:
-        """Whether the frame confirms a step of low score; such a step is no gap.
-
-        Args:
-            number: of the track.
-            before, after: (4, 4) `camera_T_object` if the object rests, and after the step.
-        """
-        ...
-
-    def refuses(self, number: int, before: Float64Array, after: Float64Array) -> bool:
-        """Whether the frame shows that a step, with the same arguments, is not that of the track."""
-        ...
-
-    def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
-        """The track that an object without an association is, and its pose `camera_T_object` (4, 4) in the frame.
-
-        Args:
-            obj: of the estimate.
-            candidates: tracks without an association, those of the most similar colours first.
-
-        Returns:
-            None for a new object.
-        """
-        ...
-
-
-class _Surface(NamedTuple):
-    """Visible surface of an object: (N, 3) metres in the current camera frame, and its colours' histogram."""
-
-    points: Float64Array
-    colors: Float64Array
 
 
 @dataclass(eq=False)
@@ -167,7 +128,7 @@ class Tracker:
             self._tracks[track_id].world_T_camera = world_T_curr
 
         objects = [o for o in motion.objects if o.moving]
-        surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
+        surfaces = [seen_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
         refused = None if evidence is None else partial(self._is_refused, world_T_prev, world_T_curr, evidence)
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
@@ -239,7 +200,7 @@ class Tracker:
         self._tracks[track.id] = track
         self._next += 1
         pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
-        histogram = _histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
+        histogram = color_histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
         self._states[track.id] = _LastState(points[pick], histogram, np.eye(4), 1)
         return track
 
@@ -272,7 +233,7 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
-    def _similar(self, surface: _Surface, left_out: Collection[int | None]) -> list[int]:
+    def _similar(self, surface: SeenSurface, left_out: Collection[int | None]) -> list[int]:
         """The tracks whose colours are similar to those of a surface, the most similar first."""
         similarity = {
             number: float(np.sqrt(surface.colors * state.colors).sum())
@@ -306,7 +267,7 @@ class Tracker:
     def _link(
         self,
         objects: list[ObjectMotion],
-        surfaces: list[_Surface],
+        surfaces: list[SeenSurface],
         camera: Camera,
         world_T_prev: Float64Array,
         refused: Callable[[int, ObjectMotion], bool] | None,
@@ -423,23 +384,3 @@ def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: i
         footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
     union = len(footprints[0] | footprints[1])
     return len(footprints[0] & footprints[1]) / union if union else 0.0
-
-
-def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> _Surface:
-    """The surface of a mask, of which points are subsampled evenly."""
-    rows, columns = np.nonzero(mask & frame.valid)
-    colors = _histogram(frame.color[rows, columns])
-    if len(rows) > max_points:
-        pick = np.linspace(0, len(rows) - 1, max_points).astype(int)
-        rows, columns = rows[pick], columns[pick]
-    depth = frame.depth[rows, columns].astype(np.float64)
-    return _Surface(geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera), colors)
-
-
-def _histogram(colors: UInt8Array) -> Float64Array:
-    """The normalised histogram of RGB colours (N, 3) in CIELAB."""
-    if not len(colors):
-        return np.zeros(_BINS[0] * _BINS[1] * _BINS[2])
-    lab = cv2.cvtColor(colors.reshape(1, -1, 3), cv2.COLOR_RGB2LAB)
-    counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
-    return np.asarray(counts.ravel() / max(1.0, counts.sum()))
