@@ -1,13 +1,15 @@
 """Objects through time and their shapes, on generated sequences: `python benchmarks/sequences.py --data DIR`.
 
 DIR holds sequences of `objectflow generate --out DIR --preset clutter --split test --sequences 20 --frames 30`. The
-noise of a depth camera is added to their exact depth. The row `oracle` has the true masks and motions.
+noise of a depth camera is added to their exact depth. The row `oracle` has the true masks and motions. For sequences
+with a moving camera (`--camera-turn 1 --camera-shift 0.005`), add `--camera moving`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -19,12 +21,13 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 
 from objectflow import geometry
-from objectflow.dataset.schema import FrameObject, SequenceRow
+from objectflow.dataset.schema import SequenceRow
 from objectflow.dataset.shards import open_sequences
 from objectflow.evaluation.methods import parse_methods
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.geometry.normals import surface_normals
+from objectflow.geometry.symmetry import SymmetryAxis, reduce_motion
 from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
 from objectflow.storage import files
@@ -46,6 +49,8 @@ NEAR = 0.003
 """Metres: a true point this close to a vertex is covered."""
 AGES = (1, 2, 5, 10, 20)
 """Numbers of frames since an object was followed first, up to which pose errors are printed."""
+END = 10_000
+"""Key of the pose errors in the last frame of each sequence."""
 REST_SHIFT = 0.0005
 """Metres between two frames, below which an object is at rest."""
 REST_TURN = 0.2
@@ -60,6 +65,8 @@ class Settings:
     """Data set with sequences."""
     methods: tuple[str, ...] = ("rigidmatch",)
     """Methods as in `objectflow evaluate`; the oracle is always included."""
+    camera: str = "static"
+    """static, moving or auto, for all methods."""
     split: str = "test"
     """Split of the data set."""
     sequences: int = 20
@@ -81,18 +88,27 @@ class PoseErrors:
     shifts: dict[int, list[float]] = dataclasses.field(default_factory=dict)
     turns: dict[int, list[float]] = dataclasses.field(default_factory=dict)
 
-    def add(self, age: int, found: Float64Array, true: Float64Array, center: Float64Array) -> None:
+    def add(
+        self,
+        age: int,
+        found: Float64Array,
+        true: Float64Array,
+        center: Float64Array,
+        symmetry: Sequence[SymmetryAxis] = (),
+    ) -> None:
         """Add a pose.
 
         Args:
-            age: frames since the first one.
-            found, true: (4, 4) poses in the camera frame.
-            center: (3,) metres in the object's true frame: the point at which the shift is measured.
+            age: frames since the first one, or `END`.
+            found, true: (4, 4) poses in one frame.
+            center: (3,) metres in the object's true frame: the point at which the shift is measured. The axes of
+                symmetry pass through its origin.
+            symmetry: of the object; a turn within it is no error.
         """
-        group = next((limit for limit in AGES if age <= limit), AGES[-1] + 1)
+        group = age if age == END else next((limit for limit in AGES if age <= limit), AGES[-1] + 1)
         shift = geometry.transform(found, center) - geometry.transform(true, center)
         self.shifts.setdefault(group, []).append(1000 * float(np.linalg.norm(shift)))
-        turn = geometry.rotation_angle(found[:3, :3].T @ true[:3, :3])
+        turn = geometry.rotation_angle(reduce_motion(found[:3, :3], true[:3, :3], symmetry))
         self.turns.setdefault(group, []).append(float(np.degrees(turn)))
 
 
@@ -107,6 +123,8 @@ class Score(FollowedSteps):
         vertices: millimetres from each vertex of each model to the true surface.
         covered: share of each modelled object's seen surface within `NEAR` of its mesh.
         moved, modelled: number of objects that moved, and of those with a model.
+        pairs: number of pairs.
+        estimating, following: CPU seconds of the method, and of everything else but the models' fusion.
     """
 
     tracks: PoseErrors = dataclasses.field(default_factory=PoseErrors)
@@ -116,6 +134,9 @@ class Score(FollowedSteps):
     covered: list[float] = dataclasses.field(default_factory=list)
     moved: int = 0
     modelled: int = 0
+    pairs: int = 0
+    estimating: float = 0.0
+    following: float = 0.0
 
 
 def main(settings: Settings) -> None:
@@ -123,7 +144,7 @@ def main(settings: Settings) -> None:
     grouped = itertools.groupby((rows[k] for k in range(len(rows))), key=lambda row: row.sequence)
     sequences = [list(frames) for _, frames in itertools.islice(grouped, settings.sequences)]
     estimators: dict[str, Estimator | None] = {
-        spec.label: spec.make() for spec in parse_methods(settings.methods, camera="static")
+        spec.label: spec.make() for spec in parse_methods(settings.methods, camera=settings.camera)
     }
     scores = {method: Score() for method in (*estimators, ORACLE)}
     for number, frames in enumerate(sequences):
@@ -133,7 +154,8 @@ def main(settings: Settings) -> None:
             add_sequence(scores[method], frames, images, motions(estimator, frames, images), folder)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
-    console.print(following_table(title, scores), model_table(scores), pose_table(scores), sep="\n")
+    tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
+    console.print(*tables, sep="\n")
 
 
 def noisy(frame: RgbdFrame, scale: float, seed: int) -> RgbdFrame:
@@ -165,47 +187,68 @@ def add_sequence(
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
     given = iter(results)
-    sequence = SequenceEstimator(lambda prev, curr: next(given))
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        began = time.process_time()
+        found = next(given)
+        score.estimating += time.process_time() - began
+        return found
+
+    sequence = SequenceEstimator(estimate)
     last: dict[int, int] = {}
     starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}
     movers: set[int] = set()
     views: list[SequenceView] = []
     sequence.update(images[0], frames[0].frame / FRAME_RATE)
+    last_number = len(frames) - 1
     for number, ((prev, curr), image) in enumerate(zip(itertools.pairwise(frames), images[1:], strict=True), start=1):
+        began, estimating = time.process_time(), score.estimating
         step = sequence.update(image, curr.frame / FRAME_RATE)
         assert step is not None
-        views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, np.eye(4)))
+        score.following += time.process_time() - began - (score.estimating - estimating)
+        score.pairs += 1
+        if not sequence.tracker.world_T_camera:
+            raise SystemExit(f"{curr.sequence}/{curr.frame}: the motion of the camera was not found")
+        world_T_camera = sequence.tracker.world_T_camera[-1]
+        views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, world_T_camera, step.known))
         tracks = {track.id: track for track in sequence.tracks}
-        for obj, track_id in score.add_pair(prev, curr, step.motion, step.tracks, last):
+        steps = score.add_pair(prev, curr, step.motion, step.tracks, last, step.known, step.followed)
+        for obj, track_id in steps:
             movers.add(obj.label)
             if track_id is not None:
                 owners.setdefault(track_id, Counter())[obj.label] += 1
                 if (obj.label, track_id) not in starts:
                     # The track's frame is that of the object up to a rigid transform, which the first step fixes.
-                    start = geometry.inverse(tracks[track_id].world_T_object[-2]) @ obj.prev_pose
+                    start = geometry.inverse(tracks[track_id].world_T_object[-2]) @ camera_pose(prev) @ obj.prev_pose
                     starts[obj.label, track_id] = number, start
-        before = {obj.label: obj for obj in prev.objects}
+        before = {obj.label: camera_pose(prev) @ obj.pose for obj in prev.objects}
         for true in curr.objects:
             track_id = last.get(true.label)
             if track_id is None:
                 continue
             mask = curr.labels == true.label
             first, track_T_object = starts[true.label, track_id]
-            score.tracks.add(
-                number - first, tracks[track_id].world_T_object[-1] @ track_T_object, true.pose, np.zeros(3)
-            )
-            if rests(before[true.label], true) and mask.sum() >= MIN_PIXELS:
+            pose, true_pose = tracks[track_id].world_T_object[-1] @ track_T_object, camera_pose(curr) @ true.pose
+            score.tracks.add(number - first, pose, true_pose, np.zeros(3), true.symmetry)
+            if number == last_number:
+                score.tracks.add(END, pose, true_pose, np.zeros(3), true.symmetry)
+            if rests(before[true.label], true_pose) and mask.sum() >= MIN_PIXELS:
                 known = step.known == track_id
                 score.rest.append(float((known & mask).sum() / (known | mask).sum()))
     score.moved += len(movers)
     add_models(score, frames, views, sequence.tracks, owners, folder)
 
 
-def rests(prev: FrameObject, curr: FrameObject) -> bool:
-    """Whether an object is at rest between two frames."""
-    shift = np.linalg.norm(curr.pose[:3, 3] - prev.pose[:3, 3])
-    turn = np.degrees(geometry.rotation_angle(prev.pose[:3, :3].T @ curr.pose[:3, :3]))
+def camera_pose(row: SequenceRow) -> Float64Array:
+    """(4, 4) `world_T_camera`; the world is the camera of the sequence's first frame."""
+    return np.eye(4) if row.world_T_camera is None else row.world_T_camera
+
+
+def rests(prev: Float64Array, curr: Float64Array) -> bool:
+    """Whether an object is at rest between two frames with these poses (4, 4) in the world."""
+    shift = np.linalg.norm(curr[:3, 3] - prev[:3, 3])
+    turn = np.degrees(geometry.rotation_angle(prev[:3, :3].T @ curr[:3, :3]))
     return bool(shift < REST_SHIFT and turn < REST_TURN)
 
 
@@ -240,7 +283,8 @@ def add_models(
 def add_model(score: Score, frames: Sequence[SequenceRow], model: ObjectModel, mesh: TriangleMesh, label: int) -> None:
     """Compare one model with the exact depth of its object in all frames, carried into the object's true frame."""
     points, normals = true_surface(frames, label)
-    true_poses = [next(obj.pose for obj in frames[number].objects if obj.label == label) for number in model.frames]
+    true = [next(obj for obj in frames[number].objects if obj.label == label) for number in model.frames]
+    true_poses = [camera_pose(frames[number]) @ obj.pose for number, obj in zip(model.frames, true, strict=True)]
     # The frame of the track is that of the object up to a rigid transform, which the first fused view fixes.
     true_T_model = geometry.inverse(true_poses[0]) @ model.world_T_object[0]
     vertices = geometry.transform(true_T_model, mesh.vertices.astype(np.float64))
@@ -249,10 +293,9 @@ def add_model(score: Score, frames: Sequence[SequenceRow], model: ObjectModel, m
     along = np.abs(((vertices - points[nearest]) * normals[nearest]).sum(axis=1))
     score.vertices.append(1000 * np.where(distance < 0.006, along, distance))
     score.covered.append(float(np.mean(np.asarray(cKDTree(vertices).query(points)[0]) < NEAR)))
-    center = points.mean(axis=0)
     model_T_true = geometry.inverse(true_T_model)
     for number, true_pose, pose in zip(model.frames, true_poses, model.world_T_object, strict=True):
-        score.models.add(number - model.frames[0], pose @ model_T_true, true_pose, center)
+        score.models.add(number - model.frames[0], pose @ model_T_true, true_pose, np.zeros(3), true[0].symmetry)
 
 
 def true_surface(frames: Sequence[SequenceRow], label: int) -> tuple[Float64Array, Float64Array]:
@@ -298,7 +341,7 @@ def model_table(scores: dict[str, Score]) -> Table:
 
 def pose_table(scores: dict[str, Score]) -> Table:
     """Median pose errors by the number of frames since an object was followed first."""
-    names = {age: f"<= {age}" for age in AGES} | {AGES[-1] + 1: f"> {AGES[-1]}"}
+    names = {age: f"<= {age}" for age in AGES} | {AGES[-1] + 1: f"> {AGES[-1]}", END: "at the end"}
     table = Table("median pose error after", *names.values())
     for method, score in scores.items():
         for kind, errors in (("track", score.tracks), ("model", score.models)):
@@ -309,6 +352,15 @@ def pose_table(scores: dict[str, Score]) -> Table:
                 for age in names
             ]
             table.add_row(f"{method}, {kind}", *cells)
+    return table
+
+
+def time_table(scores: dict[str, Score]) -> Table:
+    table = Table("method", "CPU s a pair", "tracks and known objects", "together / method alone")
+    for method, score in scores.items():
+        alone, more = score.estimating / score.pairs, score.following / score.pairs
+        ratio = "-" if method == ORACLE else f"{(alone + more) / alone:.2f}"
+        table.add_row(method, f"{alone:.2f}", f"{more:.2f}", ratio)
     return table
 
 

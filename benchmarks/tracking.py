@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +66,14 @@ class FollowedSteps:
     switches: int = 0
 
     def add_pair(
-        self, prev: SequenceRow, curr: SequenceRow, motion: SceneMotion, links: Mapping[int, int], last: dict[int, int]
+        self,
+        prev: SequenceRow,
+        curr: SequenceRow,
+        motion: SceneMotion,
+        links: Mapping[int, int],
+        last: dict[int, int],
+        known: LabelImage | None = None,
+        followed: Collection[int] = (),
     ) -> Iterator[tuple[PairObject, int | None]]:
         """Count the moving objects of a pair.
 
@@ -75,16 +82,21 @@ class FollowedSteps:
             motion: its estimate.
             links: the track of each object of the estimate.
             last: the last track of each true object of the sequence, which is updated.
+            known: the masks of the known objects by track id; None without them.
+            followed: the tracks that moved in this pair although its estimate lacks them.
 
         Yields:
             Each visible moving object and the track that follows it, if there is one.
         """
-        for obj in pair_of_frames(prev, curr).objects:
+        pair = pair_of_frames(prev, curr)
+        for obj in pair.objects:
             mask = curr.labels == obj.label
-            if not moved(obj.translation) or mask.sum() < MIN_PIXELS:
+            if not moved(own_translation(obj, pair.camera_motion)) or mask.sum() < MIN_PIXELS:
                 continue
             self.visible += 1
             track_id = best_match(mask, motion.labels, links)
+            if track_id is None and known is not None:
+                track_id = best_match(mask, known, {number: number for number in followed})
             if track_id is not None:
                 self.tracked += 1
                 self.switches += obj.label in last and last[obj.label] != track_id
@@ -136,14 +148,24 @@ def motions(estimator: Estimator | None, frames: Sequence[SequenceRow]) -> Itera
 def true_motion(prev: SequenceRow, curr: SequenceRow) -> SceneMotion:
     """The result of a perfect method."""
     objects, labels = [], np.zeros_like(curr.labels)
-    for obj in pair_of_frames(prev, curr).objects:
+    pair = pair_of_frames(prev, curr)
+    for obj in pair.objects:
         mask = (curr.labels == obj.label) & curr.image.valid
-        if not mask.any():
+        # Under a moving camera, objects at rest are background.
+        if not mask.any() or (pair.camera_motion is not None and not moved(own_translation(obj, pair.camera_motion))):
             continue
         prev_T_curr = obj.prev_pose @ geometry.inverse(obj.curr_pose)
         labels[mask] = obj.label
-        objects.append(ObjectMotion(obj.label, int(mask.sum()), 1.0, moved(obj.translation), obj.center, prev_T_curr))
-    return SceneMotion(labels, np.zeros((*labels.shape, 3), np.float32), tuple(objects))
+        moving = moved(own_translation(obj, pair.camera_motion))
+        objects.append(ObjectMotion(obj.label, int(mask.sum()), 1.0, moving, obj.center, prev_T_curr))
+    return SceneMotion(labels, np.zeros((*labels.shape, 3), np.float32), tuple(objects), pair.camera_motion)
+
+
+def own_translation(obj: PairObject, camera_motion: Float64Array | None) -> Float64Array:
+    """(3,) metres: how far an object's centre moved in the world, in the current camera frame."""
+    if camera_motion is None:
+        return obj.translation
+    return geometry.transform(geometry.inverse(camera_motion), obj.prev_pose[:3, 3]) - obj.curr_pose[:3, 3]
 
 
 def moved(translation: Float64Array) -> bool:

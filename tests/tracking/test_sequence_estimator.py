@@ -8,73 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.plate_scenes import CAMERA, Place, PlateScene, iou, play
 from objectflow import SequenceEstimator, geometry
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.camera import Camera
-from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking import SequenceStep
-from objectflow.typing import BoolMask, LabelImage
-
-CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
-ROWS, COLUMNS = np.mgrid[0:120, 0:160]
-TEXTURE = np.random.default_rng(5).integers(60, 200, (6, 6, 3), dtype=np.uint8)
-"""Colours of a plate, squares of 4 cm."""
-Place = tuple[float, float, float]
-
-
-class Scene:
-    """Textured square plates of 24 cm before a wall at 2 m; 2 never moves, and 9 hides others.
-
-    Every call renders the frame and the true labels of the plates at their centres (x, y, z), metres.
-    """
-
-    def __init__(self) -> None:
-        self.labels: dict[int, LabelImage] = {}
-        self.places: dict[int, dict[int, Place]] = {}
-
-    def frame(self, number: int, places: dict[int, Place], noise: float = 0.0) -> RgbdFrame:
-        depth = np.full((120, 160), 2.0, np.float32)
-        color = np.full((120, 160, 3), 120, np.uint8)
-        labels = np.zeros((120, 160), np.int32)
-        for plate, (x, y, z) in sorted(places.items(), key=lambda item: -item[1][2]):
-            u, v = (COLUMNS - 79.5) / 150 * z - x + 0.12, (ROWS - 59.5) / 150 * z - y + 0.12
-            inside = (u >= 0) & (u < 0.24) & (v >= 0) & (v < 0.24)
-            cells = (v[inside] * 25).astype(int), (u[inside] * 25).astype(int)
-            color[inside], depth[inside], labels[inside] = np.roll(TEXTURE, plate, axis=2)[cells], z, plate
-        depth += noise * np.random.default_rng(number).standard_normal(depth.shape).astype(np.float32)
-        self.labels[number], self.places[number] = labels, places
-        return RgbdFrame(color, depth, CAMERA, timestamp=float(number))
-
-    def motion(self, number: int, error: Place = (0, 0, 0)) -> SceneMotion:
-        """The true motion of the plates that moved, plus an error, metres."""
-        before, after, labels = self.places[number - 1], self.places[number], self.labels[number].copy()
-        objects = []
-        for plate in np.unique(labels[labels > 0]).tolist():
-            if before.get(plate, after[plate]) == after[plate]:
-                labels[labels == plate] = 0
-                continue
-            motion = np.eye(4)
-            motion[:3, 3] = np.array(before[plate]) - after[plate] - error
-            pixels = int((labels == plate).sum())
-            objects.append(ObjectMotion(plate, pixels, 0.9, True, np.array(after[plate]), motion))
-        return SceneMotion(labels, np.zeros((120, 160, 3), np.float32), tuple(objects))
-
-
-def play(
-    places: list[dict[int, Place]], error: Place = (0, 0, 0), noise: float = 0.0
-) -> tuple[Scene, SequenceEstimator, list[SequenceStep]]:
-    """Feed frames of the plates at these places; `error` of each motion and `noise` of depth in metres."""
-    scene = Scene()
-    frames = [scene.frame(number, here, noise) for number, here in enumerate(places)]
-    sequence = SequenceEstimator(lambda prev, curr: scene.motion(round(curr.timestamp or 0), error))
-    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
-    return scene, sequence, steps
-
-
-def iou(a: BoolMask, b: BoolMask) -> float:
-    return float((a & b).sum() / max(1, (a | b).sum()))
-
+from objectflow.motion import SceneMotion
 
 STILL: Place = (0.3, 0.2, 1.2)
 PUSH: list[dict[int, Place]] = [{1: (-0.25 + 0.03 * k, 0.0, 1.0), 2: STILL} for k in range(5)]
@@ -166,7 +104,7 @@ def test_models_are_bounded_and_a_cut_starts_a_new_world() -> None:
 
 def test_a_moving_camera_sees_the_object_at_rest_where_it_is() -> None:
     """The camera moves by 1 cm a frame to the right; the plate rests in the world after two pushes."""
-    scene = Scene()
+    scene = PlateScene()
     places = [{1: (-0.1 + 0.03 * min(k, 2) - 0.01 * k, 0.0, 1.0)} for k in range(8)]
     frames = [scene.frame(number, here) for number, here in enumerate(places)]
     step_of_camera = np.eye(4)
@@ -197,7 +135,7 @@ def test_times_must_rise() -> None:
 @pytest.mark.parametrize("moves", [True, False])
 def test_a_step_of_low_score_is_followed_where_the_model_confirms_it(moves: bool) -> None:
     """In the last pair the method reports the plate's usual motion with a low score; the plate moves, or rests."""
-    scene = Scene()
+    scene = PlateScene()
     frames = [scene.frame(number, here) for number, here in enumerate([*PUSH[:4], PUSH[4 if moves else 3]])]
 
     def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
@@ -225,7 +163,7 @@ def other_scene(number: int) -> RgbdFrame:
 
 def test_a_cut_to_another_scene_starts_a_new_world_and_is_noted() -> None:
     """The method reports a moving object at the cut, as one for a static camera does."""
-    scene = Scene()
+    scene = PlateScene()
     frames = [*(scene.frame(number, here) for number, here in enumerate(PUSH)), other_scene(5), other_scene(6)]
     scene.labels[5], scene.places[5] = scene.labels[4], {**PUSH[4], 1: (0.0, 0.0, 1.0)}
     still = SceneMotion(np.zeros((120, 160), np.int32), np.zeros((120, 160, 3), np.float32))
@@ -240,7 +178,7 @@ def test_a_cut_to_another_scene_starts_a_new_world_and_is_noted() -> None:
 
 
 def test_neither_a_change_of_light_nor_a_hand_before_the_lens_is_a_cut() -> None:
-    scene = Scene()
+    scene = PlateScene()
     frames = [scene.frame(number, here) for number, here in enumerate(PUSH)]
     darker = [RgbdFrame(f.color // 2 if k > 2 else f.color, f.depth, CAMERA, float(k)) for k, f in enumerate(frames)]
     hand = frames[4].depth.copy()

@@ -187,7 +187,7 @@ def feature_matches(
     if len(here.pixels) < 2 or len(there.pixels) < 2:
         empty = np.zeros((0, 2), np.float32)
         return lift(empty, empty, prev.frame, curr.frame)[0]
-    curr_index, prev_index = _match_descriptors(here.descriptors, there.descriptors, settings.max_descriptor_ratio)
+    curr_index, prev_index = match_descriptors(here.descriptors, there.descriptors, settings.max_descriptor_ratio)
     # Pixel centres of the downscaled frame, on the pixels of the frame itself.
     scale = curr.frame.camera.width / curr.at_width(width).frame.camera.width
     curr_pixels, prev_pixels = (
@@ -197,8 +197,16 @@ def feature_matches(
     return lift(curr_pixels, prev_pixels, prev.frame, curr.frame, settings)[0]
 
 
-def _match_descriptors(curr: Float32Array, prev: Float32Array, ratio: float) -> tuple[IndexArray, IndexArray]:
-    """Mutual nearest neighbours of unit descriptors whose distance is below `ratio` times the second nearest."""
+def match_descriptors(curr: Float32Array, prev: Float32Array, ratio: float) -> tuple[IndexArray, IndexArray]:
+    """Mutual nearest neighbours among unit descriptors.
+
+    Args:
+        curr, prev: (N, D) and (M, D), at least two each.
+        ratio: largest distance of a match, relative to that of the second nearest descriptor of `prev`.
+
+    Returns:
+        The indices of the matches in `curr` and in `prev`.
+    """
     similarity = curr @ prev.T
     best = similarity.argmax(1)
     mutual = similarity.argmax(0)[best] == np.arange(len(curr))

@@ -22,6 +22,7 @@ EXAMPLES = """\
   objectflow generate --out data --split train --pairs 25000 --shard 3/16
   objectflow generate --out own --pairs 100 --mesh-folder meshes --texture-folder photographs
   objectflow generate --out pushes --preset clutter --split test --sequences 20 --frames 30
+  objectflow generate --out moving --preset clutter --split test --sequences 20 --camera-turn 1 --camera-shift 0.005
   objectflow generate --out clutter --preset clutter --pairs 1000 --mesh-folder meshes --mesh-share 0.3
   objectflow generate --out unseen --preset clutter --split test --pairs 40 --mesh-folder meshes --every-mesh
 """
@@ -29,6 +30,10 @@ EXAMPLES = """\
 CLUTTER, TABLETOP = "clutter", "tabletop"
 MAX_SEQUENCE_FRAMES = 500
 """Largest number of frames of a sequence, which fit one shard."""
+MAX_CAMERA_TURN = 10.0
+"""Largest rotation of a sequence's camera from frame to frame, degrees."""
+MAX_CAMERA_SHIFT = 0.1
+"""Largest translation of a sequence's camera from frame to frame, metres."""
 _RENAMED_PRESETS = {"wild": CLUTTER}
 """Former names of presets, which are still accepted."""
 
@@ -59,6 +64,12 @@ class Generate:
 
     views: int = 1
     """Number of cameras per scene; pairs of one scene are faster to make and are marked as siblings."""
+
+    camera_turn: float = 0.0
+    """Degrees by which the camera of a sequence turns from frame to frame; for the preset clutter only."""
+
+    camera_shift: float = 0.0
+    """Metres by which the camera of a sequence moves from frame to frame; for the preset clutter only."""
 
     seed: int = 0
     """Random seed."""
@@ -117,6 +128,13 @@ class Generate:
             raise DatasetError(f"the preset {preset} makes pairs: leave --sequences out")
         if self.frames is not None and (preset != CLUTTER or not self.sequences):
             raise DatasetError("--frames is for the sequences of the preset clutter: leave it out")
+        if (self.camera_turn or self.camera_shift) and (preset != CLUTTER or not self.sequences):
+            raise DatasetError("--camera-turn and --camera-shift are for the sequences of the preset clutter")
+        if not 0 <= self.camera_turn <= MAX_CAMERA_TURN or not 0 <= self.camera_shift <= MAX_CAMERA_SHIFT:
+            raise DatasetError(
+                f"--camera-turn must be from 0 to {MAX_CAMERA_TURN:g} degrees, --camera-shift from 0 to "
+                f"{MAX_CAMERA_SHIFT:g} m, not {self.camera_turn:g} and {self.camera_shift:g}"
+            )
         if self.frames is not None and not 2 <= self.frames <= MAX_SEQUENCE_FRAMES:
             raise DatasetError(f"--frames must be from 2 to {MAX_SEQUENCE_FRAMES}, not {self.frames}")
         scenes = self._make_scenes(preset)
@@ -185,7 +203,13 @@ class Generate:
         settings = dataclasses.replace(settings, views=max(settings.views, 2 * self.views))
         if preset == CLUTTER:
             frames = self._sequence_frames(preset)
-            return ClutterScenes(settings=ClutterSettings(settings), sequence_frames=frames, **common)
+            return ClutterScenes(
+                settings=ClutterSettings(settings),
+                sequence_frames=frames,
+                camera_turn=self.camera_turn,
+                camera_shift=self.camera_shift,
+                **common,
+            )
         if preset == TABLETOP:
             return TabletopScenes(settings=TabletopSettings(settings), **common)
         return PaperScenes(settings=settings, **common)
@@ -215,6 +239,8 @@ class Generate:
         more: dict[str, Any] = {} if self.mesh_share == 1 else {"mesh_share": self.mesh_share}
         more |= {"every_mesh": True} if self.every_mesh else {}
         more |= {"mesh_hulls": True} if self.mesh_hulls else {}
+        more |= {"camera_turn": self.camera_turn} if self.camera_turn else {}
+        more |= {"camera_shift": self.camera_shift} if self.camera_shift else {}
         scene = settings
         if preset in (CLUTTER, TABLETOP):
             scene = settings.scene

@@ -118,7 +118,12 @@ def run_views(source: FrameSource, pairs: list[tuple[int, int, Path]]) -> Iterat
         frame, time = source[curr], source.timestamp(curr)
         if frame.depth.shape != motion.labels.shape:
             raise ResultError(f"{folder}: its labels do not fit the frames of the source: the source has changed")
-        yield SequenceView(curr, part, float(curr) if time is None else time, frame, motion.labels, world_T_camera)
+        # A run of an earlier version has no known objects.
+        known = read_known(folder) if (folder / KNOWN).is_file() else None
+        if known is not None and known.shape != motion.labels.shape:
+            raise ResultError(f"{folder}: its known objects do not fit its labels: the run is damaged")
+        when = float(curr) if time is None else time
+        yield SequenceView(curr, part, when, frame, motion.labels, world_T_camera, known)
 
 
 def read_known(pair: Path) -> LabelImage:

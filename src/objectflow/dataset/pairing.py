@@ -51,6 +51,9 @@ def pair_of_frames(prev: SequenceRow, curr: SequenceRow, key: str | None = None,
     """
     if prev.sequence != curr.sequence:
         raise DatasetError(f"frames of sequences {prev.sequence} and {curr.sequence} make no pair")
+    camera_motion = None
+    if prev.world_T_camera is not None and curr.world_T_camera is not None:
+        camera_motion = geometry.inverse(prev.world_T_camera) @ curr.world_T_camera
     return PairRow(
         key=key or f"{curr.sequence}/{curr.frame}",
         scene=scene or curr.sequence,
@@ -59,6 +62,7 @@ def pair_of_frames(prev: SequenceRow, curr: SequenceRow, key: str | None = None,
         curr=curr.image,
         curr_labels=curr.labels,
         objects=pair_objects(prev.objects, curr.objects, prev.labels, curr.labels),
+        camera_motion=camera_motion,
     )
 
 

@@ -205,6 +205,8 @@ class SequenceRow:
         image: colour and depth.
         labels: (H, W) int32, 0 = background.
         objects: all objects of the sequence, in order of label.
+        world_T_camera: (4, 4) pose of a moving camera; the world is the camera of the sequence's first frame. None for
+            a static camera.
     """
 
     sequence: str
@@ -212,6 +214,7 @@ class SequenceRow:
     image: RgbdFrame
     labels: LabelImage
     objects: tuple[FrameObject, ...]
+    world_T_camera: Float64Array | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The row in its Parquet form, with images as PNG bytes."""
@@ -221,6 +224,7 @@ class SequenceRow:
             **_frame_columns(self.image, self.labels, ""),
             "camera": _camera_to_dict(self.image.camera),
             "objects": [obj.to_dict() for obj in self.objects],
+            **({} if self.world_T_camera is None else {"world_T_camera": self.world_T_camera.ravel().tolist()}),
         }
 
     @classmethod
@@ -233,7 +237,10 @@ class SequenceRow:
         with located_errors(DatasetError, f"{where}: not a row of sequences"):
             image, labels = _frame_from(row, "")
             objects = tuple(FrameObject.from_dict(entry) for entry in row["objects"])
-            return cls(_text(row, "sequence"), int(row["frame"]), image, labels, objects)
+            camera = None if row.get("world_T_camera") is None else _pose(row["world_T_camera"])
+            if camera is not None:
+                check_pose(camera, "world_T_camera")
+            return cls(_text(row, "sequence"), int(row["frame"]), image, labels, objects, camera)
 
 
 Row = TypeVar("Row", bound=PairRow | SequenceRow)

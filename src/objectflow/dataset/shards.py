@@ -44,8 +44,9 @@ def write_shard(path: Path, rows: Sequence[Mapping[str, Any]], kind: Kind, metad
         StorageError: writing failed; no temporary file is left behind.
     """
     schema = _SCHEMAS[kind]
-    if any("camera_motion" in row for row in rows):
-        schema = schema.append(pa.field("camera_motion", _VECTOR))
+    for name in ("camera_motion", "world_T_camera"):
+        if any(name in row for row in rows):
+            schema = schema.append(pa.field(name, _VECTOR))
     schema = schema.with_metadata({METADATA_KEY: json.dumps(metadata, sort_keys=True).encode()})
     buffer = io.BytesIO()
     pq.write_table(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -12,28 +12,21 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
+from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.model_evidence import ModelEvidence
 from objectflow.tracking.model_fit import FrameView
+from objectflow.tracking.model_motion import (
+    ModelPose,
+    PairViews,
+    best_pose,
+    matched_motion,
+    model_motion,
+)
+from objectflow.tracking.parts import resting_part
 from objectflow.tracking.surface_model import SurfaceModel
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
-
-
-@dataclass(eq=False)
-class KnownObject:
-    """An object that has moved at least once.
-
-    Attributes:
-        model: its accumulated surface.
-        world_T_object: (4, 4) its latest pose.
-        moved: whether it moved in the latest pair.
-        present: share of the model's visible points that the latest frame confirmed, 0..1; 0 while it is hidden.
-    """
-
-    model: SurfaceModel
-    world_T_object: Float64Array
-    moved: bool = True
-    present: float = 0.0
 
 
 class KnownObjects:
@@ -47,6 +40,7 @@ class KnownObjects:
     def __init__(self, settings: KnownSettings | None = None) -> None:
         self.settings = settings or KnownSettings()
         self.objects: dict[int, KnownObject] = {}
+        self._searches = 0
 
     def view(self, frame: PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> FrameView:
         """A frame, prepared for its comparison with the models.
@@ -57,24 +51,138 @@ class KnownObjects:
         """
         return FrameView(frame, self.settings, noise)
 
-    def confirms(self, view: FrameView, number: int, before: Float64Array, after: Float64Array) -> bool:
-        """Whether a frame confirms that an object moved, by its model: as evidence beside an estimate of low score.
+    def evidence(
+        self, view: FrameView, labels: LabelImage, prev_T_curr: Float64Array, tracker: Tracker
+    ) -> ModelEvidence:
+        """The models as evidence for the association of a pair's objects.
 
         Args:
             view: the current frame.
-            number: of the track.
-            before, after: (4, 4) `camera_T_object` if the object rests, and if it moves as estimated.
+            labels: (H, W) int32 of the estimate.
+            prev_T_curr: (4, 4) motion of the static background.
+            tracker: before the pair.
         """
-        known = self.objects.get(number)
-        if known is None:
-            return False
-        pose, better = view.register(known.model, after)
-        fit = view.fit(known.model, pose if better else after)
-        seen = fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present
-        return seen and view.is_better(known.model, before, pose if better else after)
+        prev_T_world = geometry.inverse(tracker.world_T_camera[-1]) if tracker.world_T_camera else None
+        return ModelEvidence(self.objects, view, labels, prev_T_curr, prev_T_world, self.settings)
+
+    def follow(
+        self,
+        views: PairViews,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        tracker: Tracker,
+        prev_time: float,
+        time: float,
+    ) -> tuple[int, ...]:
+        """Follow the objects that moved although the estimate lacks their motions.
+
+        Args:
+            views: the pair.
+            motion: its estimate.
+            tracks: the track id of each object of the estimate; the tracker has been updated by them.
+            tracker: is given the poses that are found.
+            prev_time, time: of the pair.
+
+        Returns:
+            The track ids of the objects that were followed.
+        """
+        if not tracker.world_T_camera:
+            return ()
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        followed: list[int] = []
+        lost: list[int] = []
+        for number in sorted(set(self.objects) & tracker.alive - set(tracks.values())):
+            known = self.objects[number]
+            rest = curr_T_world @ known.world_T_object
+            fit = views.curr.fit(known.model, rest)
+            seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
+            dropped = known.present - fit.present >= self.settings.follow.min_drop
+            if seen and fit.present >= self.settings.follow.max_rest and not dropped:
+                continue
+            found = None
+            # A model that fits as badly as in the last frame is inexact or half hidden, and does not move.
+            if seen and (known.moved or dropped):
+                starts = self._starts(views, number, motion, tracker, rest)
+                found = model_motion(views, known.model, rest, starts, self.settings.follow)
+            if found is None:
+                if not seen or fit.present < self.settings.min_present:
+                    lost.append(number)
+            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, curr_T_world):
+                tracker.follow(
+                    number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
+                )
+                followed.append(number)
+        # One lost object per frame bounds the time; the one that was not searched for longest is next.
+        self._searches += 1
+        for number in sorted(lost, key=lambda number: (self.objects[number].searched, number))[:1]:
+            self.objects[number].searched = self._searches
+            found = self._search(views.curr, number, motion, tracks, curr_T_world)
+            if found is not None:
+                tracker.follow(
+                    number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
+                )
+                followed.append(number)
+        return tuple(sorted(followed))
+
+    def _starts(
+        self, views: PairViews, number: int, motion: SceneMotion, tracker: Tracker, rest: Float64Array
+    ) -> list[Float64Array]:
+        """Initial poses `curr_T_object` of a moving object: at rest, at its last speed, and by motions of the pair."""
+        starts = [rest]
+        predicted = tracker.predicted(number)
+        if predicted is not None:
+            starts.append(geometry.inverse(tracker.world_T_camera[-1]) @ predicted)
+        motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
+        matched = matched_motion(views, number, self.settings.follow)
+        if matched is not None:
+            motions.append(matched)
+        return starts + [geometry.inverse(prev_T_curr) @ views.prev_T_curr @ rest for prev_T_curr in motions]
+
+    def _search(
+        self,
+        view: FrameView,
+        number: int,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        curr_T_world: Float64Array,
+    ) -> ModelPose | None:
+        """The pose at which a lost object is found again by its looks, confirmed by its model."""
+        known, settings = self.objects[number], self.settings.follow
+        start = known.looks.find(view.frame, view.noise, settings.looks)
+        found = None if start is None else best_pose(view, known.model, [start], settings)
+        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, curr_T_world):
+            return None
+        center = known.model.points.mean(axis=0)
+        place = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
+        twin = known.twin is not None and np.linalg.norm(place - known.twin) < settings.twin_distance
+        return None if twin else found
+
+    def _is_claimed(
+        self,
+        view: FrameView,
+        number: int,
+        curr_T_object: Float64Array,
+        motion: SceneMotion,
+        tracks: Mapping[int, int],
+        curr_T_world: Float64Array,
+    ) -> bool:
+        """Whether most of the surface at the new pose of an object belongs to other known objects."""
+        mask, _ = view.mask(self.objects[number].model, curr_T_object)
+        labels = resize_nearest(motion.labels, mask.shape)
+        claimed = np.isin(labels, list(tracks))
+        for other, known in self.objects.items():
+            if other != number and other not in tracks.values():
+                claimed |= view.mask(known.model, curr_T_world @ known.world_T_object)[0]
+        return bool((mask & claimed).sum() > self.settings.follow.max_claimed * max(1, mask.sum()))
 
     def update(
-        self, view: FrameView, motion: SceneMotion, tracks: dict[int, int], tracker: Tracker, shape: tuple[int, ...]
+        self,
+        view: FrameView,
+        motion: SceneMotion,
+        tracks: dict[int, int],
+        tracker: Tracker,
+        shape: tuple[int, ...],
+        followed: Collection[int] = (),
     ) -> LabelImage:
         """Compare the models with the current frame, and extend those of the objects that moved.
 
@@ -87,6 +195,7 @@ class KnownObjects:
             tracks: the track id of each object of the estimate, as `Tracker.update` returned them.
             tracker: after this update.
             shape: (H, W) of the result, that of the frame.
+            followed: track ids of the objects that were followed by their models.
 
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
@@ -98,14 +207,22 @@ class KnownObjects:
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))
         masks = {track: labels == label for label, track in tracks.items()}
+        alive = {track.id for track in tracker.tracks}
+        self.objects = {number: known for number, known in self.objects.items() if number in alive}
+        for number in sorted(set(masks) & set(self.objects)):
+            self._split(number, masks[number], view, tracker)
         by_id = {track.id: track for track in tracker.tracks}
-        self.objects = {number: known for number, known in self.objects.items() if number in by_id}
         regions: dict[int, BoolMask] = {}
         depths: dict[int, np.ndarray] = {}
         for number in sorted({*self.objects, *masks}):
             track = by_id[number]
             if number in masks:
                 self._move(number, masks[number], track.world_T_object, view, curr_T_world)
+            elif number in followed:
+                known = self.objects[number]
+                known.world_T_object, known.moved = track.world_T_object[-1], True
+                fit = view.fit(known.model, curr_T_world @ known.world_T_object)
+                known.model.count(fit.fits, fit.missing)
             elif self.objects[number].moved:
                 self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
             if number not in self.objects:
@@ -122,6 +239,7 @@ class KnownObjects:
                 mask, depth = view.mask(known.model, pose)
                 if mask.sum() >= self.settings.min_pixels:
                     regions[number], depths[number] = mask, depth
+        tracker.keep(number for number, known in self.objects.items() if known.present >= self.settings.min_present)
         out = np.zeros((height, width), np.int32)
         best = np.full((height, width), np.inf, np.float32)
         # Pixels that two objects claim belong to the one whose model is nearer to the measured depth; the masks of
@@ -132,6 +250,27 @@ class KnownObjects:
             wins = regions[number] & (off < best)
             out[wins], best[wins] = number, off[wins]
         return np.asarray(resize_nearest(out, shape), dtype=np.int32)
+
+    def _split(self, number: int, mask: BoolMask, view: FrameView, tracker: Tracker) -> None:
+        """Give a part of a moving object that rests a track of its own, with the trajectory of both up to now."""
+        known, settings = self.objects[number], self.settings.follow
+        poses = next(track.world_T_object for track in tracker.tracks if track.id == number)
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
+        rest = curr_T_world @ known.world_T_object
+        resting = resting_part(view, known.model, rest, curr_T_world @ poses[-1], mask, settings)
+        if resting is None:
+            return
+        part = known.model.take(resting)
+        shown, _ = view.mask(part, rest)
+        for other, another in self.objects.items():
+            if other != number:
+                shown &= ~view.mask(another.model, curr_T_world @ another.world_T_object)[0]
+        if shown.sum() < self.settings.min_pixels:
+            return  # a part of another known object, which a mask had contained
+        points = geometry.transform(known.world_T_object, part.points)
+        track = tracker.split(number, points, part.colors)
+        self.objects[track.id] = KnownObject(part, known.world_T_object, moved=False)
+        self.objects[track.id].looks.add(view.frame, shown, rest, settings.looks)
 
     def _move(
         self,
@@ -156,6 +295,7 @@ class KnownObjects:
             known.model.count(fit.fits, fit.missing)
         known.world_T_object, known.moved = poses[-1], True
         known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
+        known.looks.add(view.frame, mask, curr_T_world @ poses[-1], self.settings.follow.looks)
 
     def _rest(
         self, known: KnownObject, poses: list[Float64Array], view: FrameView, curr_T_world: Float64Array
@@ -165,6 +305,18 @@ class KnownObjects:
         if fit.visible >= self.settings.min_visible and fit.present >= self.settings.min_present:
             poses[-1] = known.world_T_object = self._registered(known.model, known.world_T_object, view, curr_T_world)
             known.moved = False
+            self._note_twin(known, view, curr_T_world)
+
+    def _note_twin(self, known: KnownObject, view: FrameView, curr_T_world: Float64Array) -> None:
+        """Note whether something beside an object at rest looks the same."""
+        settings = self.settings.follow
+        own, _ = view.mask(known.model, curr_T_world @ known.world_T_object)
+        start = known.looks.find(view.frame, view.noise, settings.looks, ~own)
+        found = None if start is None else best_pose(view, known.model, [start], settings)
+        known.twin = None
+        if found is not None:
+            center = known.model.points.mean(axis=0)
+            known.twin = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
 
     def _registered(
         self, model: SurfaceModel, world_T_object: Float64Array, view: FrameView, curr_T_world: Float64Array

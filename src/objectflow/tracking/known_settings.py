@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from objectflow.alignment.measured_noise import MeasuredNoiseSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.settings import Settings, setting
+from objectflow.tracking.follow_settings import FollowSettings
 from objectflow.tracking.pose_cost import PoseCostSettings
 
 
@@ -49,6 +50,8 @@ class KnownSettings(Settings):
     """Maximum number of model points that registration uses."""
     pose_cost: PoseCostSettings = PoseCostSettings()
     """When a registered pose replaces a chained one."""
+    follow: FollowSettings = FollowSettings()
+    """When an object is followed by its model alone, and when an estimate is refused."""
     max_correction: float = setting(0.02, minimum=0)
     """Metres: largest displacement by which registration to the model corrects a chained pose."""
     max_correction_deg: float = setting(16.0, minimum=0)

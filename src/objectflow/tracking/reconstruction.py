@@ -70,6 +70,8 @@ class SequenceView(NamedTuple):
         frame: colour and depth.
         labels: (H, W) int32 of the pair of which this is the current frame.
         world_T_camera: (4, 4).
+        known: (H, W) int32 masks of the known objects by track id, for objects that the pair does not move; None to
+            use only masks of moving objects.
     """
 
     number: int
@@ -78,6 +80,7 @@ class SequenceView(NamedTuple):
     frame: RgbdFrame
     labels: LabelImage
     world_T_camera: Float64Array
+    known: LabelImage | None = None
 
 
 @dataclass(eq=False)
@@ -132,11 +135,19 @@ def fuse_objects(
         for track in tracks
     }
     corrections: dict[int, Float64Array] = {}
+    last: dict[int, Float64Array | None] = dict.fromkeys(tracked)
     for view in views:
         for number, poses in tracked.items():
-            label, world_T_object = poses.get(view.time, (0, np.eye(4)))
-            mask = view.labels == label
-            if not label or not (mask & view.frame.valid).any():
+            label, world_T_object = poses.get(view.time, (0, None))
+            if label:
+                mask = view.labels == label
+            elif view.known is not None:
+                mask = view.known == number
+                world_T_object = last[number] if world_T_object is None else world_T_object
+            else:
+                continue
+            last[number] = world_T_object
+            if world_T_object is None or not (mask & view.frame.valid).any():
                 continue
             # Poses of a track are chained motions: a correction holds for all later ones.
             expected = geometry.inverse(view.world_T_camera) @ world_T_object @ corrections.get(number, np.eye(4))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
+
+import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
@@ -15,6 +16,7 @@ from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.model_motion import PairViews
 from objectflow.tracking.running_noise import RunningNoise
 from objectflow.tracking.scene_cut import CutSettings, is_cut
 from objectflow.tracking.track import Track
@@ -36,6 +38,7 @@ class SequenceStep:
         tracks: track id of each object of `motion` that has a track, by the object's id.
         known: (H, W) int32 label image of every object that has moved up to now, by track id, also at rest and half
             hidden; 0 elsewhere.
+        followed: track ids of the objects that moved although `motion` lacks them, as their models show.
     """
 
     prev: RgbdFrame
@@ -44,6 +47,7 @@ class SequenceStep:
     motion: SceneMotion
     tracks: Mapping[int, int]
     known: LabelImage
+    followed: tuple[int, ...] = ()
 
 
 class SequenceEstimator:
@@ -123,10 +127,20 @@ class SequenceEstimator:
             unknown = unknown_motion(found.labels.shape)
             found = replace(unknown, method=found.method, seconds=found.seconds, settings=found.settings, notes=(CUT,))
         view = self.known_objects.view(pair.curr, self.noise.add(pair, found))
-        tracks = self.tracker.update(prev_time, frame, time, found, partial(self.known_objects.confirms, view))
-        known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape)
+        static = np.eye(4) if found.camera_motion is None else found.camera_motion
+        evidence = self.known_objects.evidence(view, found.labels, static, self.tracker)
+        tracks = self.tracker.update(
+            prev_time,
+            frame,
+            time,
+            found,
+            evidence,
+        )
+        views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
+        followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
+        known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)
         self._last, self._time, self.segmentation = pair.curr, time, known
-        return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known)
+        return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known, followed)
 
     def cut(self) -> None:
         """Start a new world, as after a cut: the next frame is a first one, and objects get new ids.

@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from objectflow import geometry
 from objectflow.alignment.prepared_frame import PreparedFrame
+from objectflow.geometry.camera import Camera
 from objectflow.typing import BoolMask, Float64Array, Int64Array
 
 _REACH = 1 << 20
 """Voxels: the coordinates of a voxel lie in -_REACH.._REACH, so that three of them fit one 64-bit key."""
 _MAX_RADIUS = 8
 """Pixels: largest extent of a voxel in a rendered image."""
-_EMPTY = np.uint64(2**64 - 1)
-"""Value of empty pixels in the buffer of `render`."""
+_MAX_TILT = 4.0
+"""Largest slope of a voxel's tangent plane in a rendered image, metres of depth per metre across the ray."""
 _POINT, _NORMAL, _COLOR = slice(0, 3), slice(3, 6), slice(6, 9)
 
 
@@ -89,6 +90,21 @@ class SurfaceModel:
         chosen = self._counts[:, 2] <= self._counts[:, 1]
         self._keys, self._sums, self._counts = self._keys[chosen], self._sums[chosen], self._counts[chosen]
 
+    def take(self, chosen: BoolMask) -> SurfaceModel:
+        """Take voxels out of the model.
+
+        Args:
+            chosen: (N,) bool.
+
+        Returns:
+            The model of these voxels, in the same frame.
+        """
+        part = SurfaceModel(self.voxel, self.max_points)
+        part._keys, part._sums, part._counts = self._keys[chosen], self._sums[chosen], self._counts[chosen]
+        kept = ~chosen
+        self._keys, self._sums, self._counts = self._keys[kept], self._sums[kept], self._counts[kept]
+        return part
+
     def render(self, camera_T_object: Float64Array, frame: PreparedFrame) -> tuple[NDArray[np.float32], Int64Array]:
         """Render the surface that faces the camera.
 
@@ -113,28 +129,21 @@ class SurfaceModel:
         # A voxel covers the pixels around its centre, so that the surface has no holes.
         size = self.voxel * camera.fx / float(np.median(points[:, 2]))
         radius = min(_MAX_RADIUS, max(1, int(np.ceil(0.75 * size))))
-        low = np.maximum(pixels.min(axis=0) - radius, 0)
-        high = np.minimum(pixels.max(axis=0) + radius + 1, [camera.width, camera.height])
+        # The window has an empty margin of a pixel, which erosion needs; at the image border it has none.
+        low = np.maximum(pixels.min(axis=0) - radius - 1, 0)
+        high = np.minimum(pixels.max(axis=0) + radius + 2, [camera.width, camera.height])
         if (high <= low).any():
             return depth, index
         width, height = (high - low).tolist()
-        # Each entry combines depth and index: the bits of positive floats sort in the order of the floats.
-        packed = points[:, 2].astype(np.float32).view(np.uint32).astype(np.uint64) << np.uint64(32)
-        packed |= np.arange(len(numbers), dtype=np.uint64)
-        buffer = np.full(height * width, _EMPTY)
-        for dv, du in itertools.product(range(-radius, radius + 1), repeat=2):
-            u, v = (pixels + np.array([du, dv]) - low).T
-            inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
-            np.minimum.at(buffer, v[inside] * width + u[inside], packed[inside])
+        normals = self._sums[numbers, _NORMAL] @ camera_T_object[:3, :3].T
+        depths, owners = _splat(points, normals, pixels - low, (height, width), radius, self.voxel, camera, low)
         # Erosion takes back what the voxels' extent added at the outline.
         kernel = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-        filled = (buffer != _EMPTY).reshape(height, width).astype(np.uint8)
-        inner = cv2.erode(filled, kernel, borderType=cv2.BORDER_REPLICATE).astype(bool).ravel()
+        filled = np.isfinite(depths).astype(np.uint8)
+        inner = cv2.erode(filled, kernel, borderType=cv2.BORDER_REPLICATE).astype(bool)
         box = (slice(low[1], high[1]), slice(low[0], high[0]))
-        bits = (buffer >> np.uint64(32)).astype(np.uint32).view(np.float32)
-        depth[box] = np.where(inner, bits, np.inf).reshape(height, width)
-        found = numbers[np.where(inner, buffer & np.uint64(0xFFFFFFFF), 0).astype(np.int64)]
-        index[box] = np.where(inner, found, -1).reshape(height, width)
+        depth[box] = np.where(inner, depths, np.inf)
+        index[box] = np.where(inner, numbers[owners], -1)
         return depth, index
 
     def facing(self, camera_T_object: Float64Array) -> BoolMask:
@@ -163,6 +172,55 @@ class SurfaceModel:
     def _key(self, points: Float64Array) -> Int64Array:
         cells = np.clip(np.floor(points / self.voxel).astype(np.int64), -_REACH + 1, _REACH - 1) + _REACH
         return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+
+
+def _splat(
+    points: Float64Array,
+    normals: Float64Array,
+    pixels: Int64Array,
+    shape: tuple[int, int],
+    radius: int,
+    voxel: float,
+    camera: Camera,
+    corner: Int64Array,
+) -> tuple[NDArray[np.float32], Int64Array]:
+    """Depth and owner of each pixel from squares of tangent planes.
+
+    Args:
+        points, normals: (N, 3) metres and directions in the camera frame.
+        pixels: (N, 2) the pixel (u, v) of each point in the window.
+        shape: (H, W) of the window.
+        radius: pixels around a point that it covers.
+        voxel: metres: points up to twice as far behind the nearest one belong to the same surface.
+        camera: of the image.
+        corner: (2,) pixel (u, v) of the window's corner in the image.
+
+    Returns:
+        (H, W) float32 metres, infinite on empty pixels; and (H, W) int64 the index of the point, 0 on empty pixels.
+    """
+    height, width = shape
+    distance = (normals * points).sum(axis=1)
+    reach = _MAX_TILT * radius * points[:, 2] / camera.fx
+    nearest = np.full(height * width, np.inf, np.float32)
+    splats = []
+    for dv, du in itertools.product(range(-radius, radius + 1), repeat=2):
+        u, v = (pixels + np.array([du, dv])).T
+        which = np.flatnonzero((u >= 0) & (v >= 0) & (u < width) & (v < height))
+        at, x, y = v[which] * width + u[which], u[which] + corner[0] - camera.cx, v[which] + corner[1] - camera.cy
+        # The depth of the point's tangent plane on the pixel's ray.
+        along = normals[which, 0] * (x / camera.fx) + normals[which, 1] * (y / camera.fy) + normals[which, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = np.nan_to_num(distance[which] / along, nan=np.inf)
+        z = np.clip(plane, points[which, 2] - reach[which], points[which, 2] + reach[which]).astype(np.float32)
+        np.minimum.at(nearest, at, z)
+        splats.append((du * du + dv * dv, at, which, z))
+    # Of the points of the front surface, the one closest to the ray counts: the nearest one would bias the depth by
+    # its noise. It is assigned last.
+    depths, owners = np.full(height * width, np.inf, np.float32), np.zeros(height * width, np.int64)
+    for _, at, which, z in sorted(splats, key=lambda splat: -splat[0]):
+        front = z <= nearest[at] + 2 * voxel
+        depths[at[front]], owners[at[front]] = z[front], which[front]
+    return depths.reshape(shape), owners.reshape(shape)
 
 
 def _merged(

@@ -26,7 +26,8 @@ class Track:
         id: from 1, never reused.
         times: of each pose, in seconds, or frame numbers where there are no times.
         world_T_object: (4, 4) at each time. The object frame starts at the object's centre, aligned with the world.
-        labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame.
+        labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame, and
+            where only the model shows the step.
         scores: of each pose.
         gaps: times at which the object was seen to move, but with a score too low for a pose.
         model: the accumulated surface in the object frame, which a `SequenceEstimator` fuses; otherwise None.

@@ -6,11 +6,10 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import partial
 
-import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -20,11 +19,10 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
+from objectflow.tracking.evidence import Evidence
+from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
 from objectflow.tracking.track import Track
-from objectflow.typing import BoolMask, Float64Array
-
-_BINS = (4, 16, 16)
-"""Histogram bins of lightness, which light changes, and of the two colour-opponent channels of CIELAB."""
+from objectflow.typing import Float64Array
 
 
 @dataclass(frozen=True)
@@ -50,13 +48,6 @@ class TrackerSettings(Settings):
     """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
     max_points: int = setting(600, minimum=1)
     """Maximum number of surface points stored per track."""
-
-
-class _Surface(NamedTuple):
-    """Visible surface of an object: (N, 3) metres in the current camera frame, and its colours' histogram."""
-
-    points: Float64Array
-    colors: Float64Array
 
 
 @dataclass(eq=False)
@@ -100,7 +91,7 @@ class Tracker:
         curr: RgbdFrame,
         time: float,
         motion: SceneMotion,
-        confirms: Callable[[int, Float64Array, Float64Array], bool] | None = None,
+        evidence: Evidence | None = None,
     ) -> dict[int, int]:
         """Add the next pair, whose previous frame must be the current frame of the last call.
 
@@ -109,8 +100,7 @@ class Tracker:
             curr: the pair's current frame.
             time: of the current frame, later than `prev_time`.
             motion: the estimate for the pair.
-            confirms: whether the current frame confirms a step of low score, by the id of the track and its poses
-                `camera_T_object` (4, 4) before and after the step, both in the current camera; such a step is no gap.
+            evidence: what the current frame shows of objects whose shape is known; None without it.
 
         Returns:
             Track id of each object of `motion` that has a track, by the object's id.
@@ -138,9 +128,10 @@ class Tracker:
             self._tracks[track_id].world_T_camera = world_T_curr
 
         objects = [o for o in motion.objects if o.moving]
-        surfaces = [_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
+        surfaces = [seen_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
-        links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev)
+        refused = None if evidence is None else partial(self._is_refused, world_T_prev, world_T_curr, evidence)
+        links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
         found: dict[int, int] = {}
         for (obj, surface), number in zip(known, links, strict=True):
             # The object's motion from prev to curr in the world frame, without the camera's motion.
@@ -148,15 +139,17 @@ class Tracker:
             if obj.score < self.settings.min_score:
                 if number is None:
                     continue
-                before = geometry.inverse(world_T_curr) @ self._tracks[number].world_T_object[-1]
-                after = geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
-                after = after @ self._tracks[number].world_T_object[-1]
-                if confirms is None or not confirms(number, before, after):
+                before, after = self._poses(number, obj, world_T_prev, world_T_curr)
+                if evidence is None or not evidence.confirms(number, before, after):
                     self._tracks[number].gaps.append(time)
                     continue
-            track = self._track(number, obj, prev_time, world_T_prev)
+            again = None
+            if number is None and evidence is not None:
+                again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
+            track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
+            pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
+            track.world_T_object.append(pose)
             track.times.append(time)
-            track.world_T_object.append(world_step @ track.world_T_object[-1])
             track.labels.append(obj.id)
             track.scores.append(obj.score)
             track.world_T_camera = world_T_curr
@@ -167,6 +160,71 @@ class Tracker:
         self._trim()
         return found
 
+    def follow(self, number: int, prev_time: float, time: float, world_T_object: Float64Array, score: float) -> None:
+        """Add a step of a track that the estimate of the latest pair lacks; its label is 0.
+
+        Args:
+            number: of the track, which has no pose at this time.
+            prev_time, time: of the pair.
+            world_T_object: (4, 4) the pose at `time`.
+            score: of the step, 0..1.
+        """
+        track, state = self._tracks[number], self._states[number]
+        self._rest_until(track, prev_time)
+        step = world_T_object @ geometry.inverse(track.world_T_object[-1])
+        track.times.append(time)
+        track.world_T_object.append(world_T_object)
+        track.labels.append(0)
+        track.scores.append(score)
+        track.gaps = [gap for gap in track.gaps if gap != time]
+        points = geometry.transform(step, state.points)
+        self._states[number] = _LastState(points, state.colors, step)
+        self._trim()
+
+    def split(self, number: int, points: Float64Array, colors: Float64Array) -> Track:
+        """A track of a part that rests in the latest pair, while the rest of the object moved.
+
+        Args:
+            number: of the object's track, which has moved in the latest pair.
+            points: (N, 3) metres in the world: the surface of the part.
+            colors: (N, 3) its colours, RGB, 0..255.
+
+        Returns:
+            The new track, with the poses of the object up to the previous frame.
+        """
+        whole = self._tracks[number]
+        count = len(whole.times) - 1
+        labels = [0] * count
+        track = Track(self._next, whole.times[:count], whole.world_T_object[:count], labels, whole.scores[:count])
+        track.world_T_camera = whole.world_T_camera
+        self._tracks[track.id] = track
+        self._next += 1
+        pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
+        histogram = color_histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
+        self._states[track.id] = _LastState(points[pick], histogram, np.eye(4), 1)
+        return track
+
+    def keep(self, numbers: Iterable[int]) -> None:
+        """Let tracks of objects that are seen at rest not end."""
+        for number in numbers:
+            if number in self._states:
+                self._states[number].age = min(self._states[number].age, self.settings.max_age - 1)
+
+    @property
+    def alive(self) -> set[int]:
+        """The tracks that have not ended."""
+        return set(self._states)
+
+    def predicted(self, number: int) -> Float64Array | None:
+        """(4, 4) pose of a track if it moves as in its last step; None where it rested, or has no pose any more.
+
+        It holds after `update`, for a track that the pair did not move.
+        """
+        state = self._states.get(number)
+        if state is None or not 0 < state.age <= self.settings.coast:
+            return None
+        return np.linalg.matrix_power(state.world_step, state.age) @ self._tracks[number].world_T_object[-1]
+
     def reset(self) -> None:
         """Discard the state, as after a cut of the sequence; objects of the next pair get new ids."""
         self.camera_times, self.world_T_camera = [], []
@@ -175,8 +233,44 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
+    def _similar(self, surface: SeenSurface, left_out: Collection[int | None]) -> list[int]:
+        """The tracks whose colours are similar to those of a surface, the most similar first."""
+        similarity = {
+            number: float(np.sqrt(surface.colors * state.colors).sum())
+            for number, state in self._states.items()
+            if number not in left_out
+        }
+        similar = [number for number, value in similarity.items() if value >= self.settings.min_color_similarity]
+        return sorted(similar, key=lambda number: (-similarity[number], number))
+
+    def _poses(
+        self, number: int, obj: ObjectMotion, world_T_prev: Float64Array, world_T_curr: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Poses `camera_T_object` of a track before and after an object's motion, both in the current camera."""
+        world_T_object = self._tracks[number].world_T_object[-1]
+        before = geometry.inverse(world_T_curr) @ world_T_object
+        return before, geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev) @ world_T_object
+
+    def _is_refused(
+        self,
+        world_T_prev: Float64Array,
+        world_T_curr: Float64Array,
+        evidence: Evidence,
+        number: int,
+        obj: ObjectMotion,
+    ) -> bool:
+        """Whether the current frame shows that an object is not that of a track."""
+        if obj.score < self.settings.min_score:
+            return False  # such a motion needs to be confirmed anyway
+        return evidence.refuses(number, *self._poses(number, obj, world_T_prev, world_T_curr))
+
     def _link(
-        self, objects: list[ObjectMotion], surfaces: list[_Surface], camera: Camera, world_T_prev: Float64Array
+        self,
+        objects: list[ObjectMotion],
+        surfaces: list[SeenSurface],
+        camera: Camera,
+        world_T_prev: Float64Array,
+        refused: Callable[[int, ObjectMotion], bool] | None,
     ) -> list[int | None]:
         """Track id of each object, None for a new object: the assignment of largest overlap (Hungarian method)."""
         ids = list(self._states)
@@ -199,6 +293,10 @@ class Tracker:
                     if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
                         shared = footprint_overlap(points, expected, camera, self.settings.footprint_cells)
                         overlap[row, column] = max(overlap[row, column], shared)
+        if refused is not None:
+            for row, column in np.argwhere(overlap >= self.settings.min_overlap).tolist():
+                if refused(ids[column], objects[row]):
+                    overlap[row, column] = 0
         # Certain motions come first: a guess does not take a track from them.
         weight = np.array([1.0 if obj.score >= self.settings.min_score else 0.1 for obj in objects]).reshape(-1, 1)
         links: list[int | None] = [None] * len(objects)
@@ -217,12 +315,7 @@ class Tracker:
         """The track with this id, or a new one that starts at the object's position in the previous frame."""
         if track_id is not None:
             track = self._tracks[track_id]
-            if track.times[-1] < prev_time:
-                # The object is assumed to have rested until the previous frame.
-                track.times.append(prev_time)
-                track.world_T_object.append(track.world_T_object[-1])
-                track.labels.append(0)
-                track.scores.append(track.scores[-1])
+            self._rest_until(track, prev_time)
             return track
         start = np.eye(4)
         start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
@@ -230,6 +323,15 @@ class Tracker:
         self._tracks[self._next] = track
         self._next += 1
         return track
+
+    @staticmethod
+    def _rest_until(track: Track, prev_time: float) -> None:
+        """Add a pose at a pair's previous frame, until which the object is assumed to have rested."""
+        if track.times[-1] < prev_time:
+            track.times.append(prev_time)
+            track.world_T_object.append(track.world_T_object[-1])
+            track.labels.append(0)
+            track.scores.append(track.scores[-1])
 
     def _age(self, associated: set[int]) -> None:
         """Age the tracks without an association, and end those older than `max_age`."""
@@ -282,18 +384,3 @@ def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: i
         footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
     union = len(footprints[0] | footprints[1])
     return len(footprints[0] & footprints[1]) / union if union else 0.0
-
-
-def _surface(frame: RgbdFrame, mask: BoolMask, max_points: int) -> _Surface:
-    """The surface of a mask, of which points are subsampled evenly."""
-    rows, columns = np.nonzero(mask & frame.valid)
-    lab = cv2.cvtColor(frame.color[rows, columns].reshape(1, -1, 3), cv2.COLOR_RGB2LAB) if len(rows) else None
-    colors = np.zeros(_BINS[0] * _BINS[1] * _BINS[2])
-    if lab is not None:
-        counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
-        colors = counts.ravel() / max(1.0, counts.sum())
-    if len(rows) > max_points:
-        pick = np.linspace(0, len(rows) - 1, max_points).astype(int)
-        rows, columns = rows[pick], columns[pick]
-    depth = frame.depth[rows, columns].astype(np.float64)
-    return _Surface(geometry.back_project_pixels(np.stack([columns, rows], axis=1), depth, frame.camera), colors)

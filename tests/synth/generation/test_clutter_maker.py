@@ -11,10 +11,12 @@ import pytest
 from objectflow import geometry
 from objectflow.dataset.check import contradictions
 from objectflow.dataset.moving_objects import moving_labels
+from objectflow.dataset.pairing import pair_of_frames
 from objectflow.dataset.schema import PairRow, SequenceRow
 from objectflow.dataset.warp_check import warp_errors
 from objectflow.errors import DatasetError
 from objectflow.synth.generation.clutter_maker import ClutterScenes
+from objectflow.synth.generation.clutter_sequences import CAMERA_PERIOD, draw_camera_path
 from objectflow.synth.generation.tasks import Task
 from objectflow.synth.scenes.clutter_scene import SCENE, ClutterSettings
 from objectflow.synth.scenes.sequence_actions import STEP
@@ -95,3 +97,34 @@ def test_sequences_have_actions_one_after_another_with_rests_between() -> None:
     ]
     assert not moved[0]  # the first action starts at frame `FIRST_START`
     assert any(moved)
+
+
+def test_the_camera_of_a_sequence_moves_by_the_same_step_from_frame_to_frame_and_returns() -> None:
+    path = draw_camera_path(np.random.default_rng(4), CAMERA_PERIOD + 1, turn=1.0, shift=0.005)
+    steps = [geometry.inverse(before) @ after for before, after in itertools.pairwise(path)]
+    np.testing.assert_allclose([np.linalg.norm(step[:3, 3]) for step in steps], 0.005, rtol=1e-6)
+    turns = np.degrees([geometry.rotation_angle(step[:3, :3]) for step in steps])
+    # The viewing direction turns by exactly this angle; rotation vectors add up to it only to first order.
+    np.testing.assert_allclose(turns, 1.0, rtol=0.01)
+    np.testing.assert_allclose(path[0], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(path[-1], np.eye(4), atol=1e-12)
+
+
+def test_sequences_of_a_moving_camera_show_what_rests_at_rest_in_the_world() -> None:
+    make = ClutterScenes(0, "val", SMALL, sequence_frames=6, camera_turn=1.0, camera_shift=0.005)()
+    made = next(rows for rows in (make(Task("sequences", scene)).rows for scene in range(4)) if rows)
+    sequence = [SequenceRow.from_dict(row) for row in made]
+    first, second = sequence[:2]  # the first action starts later
+    assert first.world_T_camera is not None
+    assert second.world_T_camera is not None
+    pair = pair_of_frames(first, second)
+    assert pair.camera_motion is not None
+    for obj in pair.objects:
+        np.testing.assert_allclose(pair.camera_motion @ obj.curr_pose, obj.prev_pose, atol=1e-3)
+    # Depth agrees with the camera's motion: points of the current frame lie on the surface of the previous one.
+    points = geometry.back_project(second.image.depth, second.image.camera)[second.image.valid].astype(np.float64)
+    there = geometry.transform(pair.camera_motion, points)
+    pixels = np.rint(geometry.project(there, first.image.camera)).astype(int)
+    inside = ((pixels >= 0) & (pixels < [first.image.camera.width, first.image.camera.height])).all(axis=1)
+    error = first.image.depth[pixels[inside, 1], pixels[inside, 0]] - there[inside, 2]
+    assert np.median(np.abs(error)) < 0.002

@@ -13,7 +13,12 @@ from objectflow import geometry
 from objectflow.dataset.pairing import pair_objects
 from objectflow.dataset.schema import PairRow
 from objectflow.frame import RgbdFrame
-from objectflow.synth.generation.clutter_sequences import SEQUENCE_FRAMES, SEQUENCE_OBJECTS, make_sequence
+from objectflow.synth.generation.clutter_sequences import (
+    SEQUENCE_FRAMES,
+    SEQUENCE_OBJECTS,
+    draw_camera_path,
+    make_sequence,
+)
 from objectflow.synth.generation.frame_pairs import SelectedFrames, select_frames
 from objectflow.synth.generation.rejection import DrawRows
 from objectflow.synth.generation.rows import MIN_CAMERA_DISTANCE, frame_objects, visible_in_both
@@ -40,6 +45,10 @@ class ClutterScenes(SceneFactory[ClutterSettings]):
     settings: ClutterSettings = field(default_factory=ClutterSettings)
     sequence_frames: int = SEQUENCE_FRAMES
     """Number of frames of a sequence."""
+    camera_turn: float = 0.0
+    """Degrees by which the camera of a sequence turns per frame."""
+    camera_shift: float = 0.0
+    """Metres by which the camera of a sequence moves per frame."""
 
     @property
     def scene_settings(self) -> SceneSettings:
@@ -60,7 +69,10 @@ class ClutterScenes(SceneFactory[ClutterSettings]):
                 actions = draw_sequence_actions(rng, len(drawn.models), self.sequence_frames)
                 timer.lap("draw")
                 scene = dataclasses.replace(drawn, actions=actions)
-                return make_sequence(self.scene_name(task), scene, self.sequence_frames, renderer, timer)
+                path = None
+                if self.camera_turn or self.camera_shift:
+                    path = draw_camera_path(rng, self.sequence_frames, self.camera_turn, self.camera_shift)
+                return make_sequence(self.scene_name(task), scene, self.sequence_frames, renderer, timer, path)
 
             return draw_frames
         motionless = bool(rng.random() < settings.motionless)

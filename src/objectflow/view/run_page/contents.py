@@ -95,7 +95,8 @@ def steps(track: Track) -> list[Step]:
     """The moving steps of a track; the times between them are rests."""
     found = []
     for k in range(1, len(track.times)):
-        if track.labels[k]:
+        # A step that only the model shows has no label.
+        if track.labels[k] or not np.array_equal(track.world_T_object[k], track.world_T_object[k - 1]):
             shift = float(np.linalg.norm(track.world_T_object[k][:3, 3] - track.world_T_object[k - 1][:3, 3]))
             found.append(Step(track.times[k - 1], track.times[k], track.scores[k], shift))
     return found

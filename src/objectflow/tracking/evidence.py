@@ -1,0 +1,38 @@
+"""`Evidence`: what a tracker asks about objects whose shape is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from objectflow.motion import ObjectMotion
+from objectflow.typing import Float64Array
+
+
+class Evidence(Protocol):
+    """What the current frame of a pair shows of objects whose shape is known."""
+
+    def confirms(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether the frame confirms a step of low score; such a step is no gap.
+
+        Args:
+            number: of the track.
+            before, after: (4, 4) `camera_T_object` if the object rests, and after the step.
+        """
+        ...
+
+    def refuses(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """Whether the frame shows that a step, with the same arguments, is not that of the track."""
+        ...
+
+    def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
+        """The track that an object without an association is, and its pose `camera_T_object` (4, 4) in the frame.
+
+        Args:
+            obj: of the estimate.
+            candidates: tracks without an association, those of the most similar colours first.
+
+        Returns:
+            None for a new object.
+        """
+        ...

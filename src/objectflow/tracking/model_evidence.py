@@ -1,0 +1,101 @@
+"""What a frame shows of known objects, as the association of a pair's objects needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import cv2
+import numpy as np
+
+from objectflow import geometry
+from objectflow.geometry.resample import resize_nearest
+from objectflow.motion import ObjectMotion
+from objectflow.tracking.known_object import KnownObject
+from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.model_fit import FrameView
+from objectflow.tracking.model_motion import best_pose
+from objectflow.typing import BoolMask, Float64Array, LabelImage
+
+
+class ModelEvidence:
+    """The models of known objects as evidence for and against associations; see `Evidence`."""
+
+    def __init__(
+        self,
+        objects: Mapping[int, KnownObject],
+        view: FrameView,
+        labels: LabelImage,
+        prev_T_curr: Float64Array,
+        prev_T_world: Float64Array | None,
+        settings: KnownSettings,
+    ) -> None:
+        """Prepare the evidence of a pair.
+
+        Args:
+            objects: by the id of the track, before this pair.
+            view: the current frame.
+            labels: (H, W) int32 of the estimate.
+            prev_T_curr: (4, 4) motion of the static background.
+            prev_T_world: (4, 4) the previous camera; None for the first frame of a world.
+            settings: thresholds.
+        """
+        self._objects, self._view, self._settings = objects, view, settings
+        self._labels = labels
+        self._curr_T_world = None if prev_T_world is None else geometry.inverse(prev_T_curr) @ prev_T_world
+
+    def confirms(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """See `Evidence.confirms`."""
+        known, view, settings = self._objects.get(number), self._view, self._settings
+        if known is None:
+            return False
+        pose, better = view.register(known.model, after)
+        fit = view.fit(known.model, pose if better else after)
+        seen = fit.visible >= settings.min_visible and fit.present >= settings.min_present
+        return seen and view.is_better(known.model, before, pose if better else after)
+
+    def refuses(self, number: int, before: Float64Array, after: Float64Array) -> bool:
+        """See `Evidence.refuses`."""
+        known, settings = self._objects.get(number), self._settings.follow
+        if known is None:
+            return False
+        fit = self._view.fit(known.model, before)
+        if fit.fits.sum() < settings.min_points or fit.visible < settings.min_visible:
+            return False
+        return fit.present >= settings.refused_rest and self._view.is_better(known.model, after, before)
+
+    def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
+        """See `Evidence.recognises`."""
+        view, settings = self._view, self._settings.follow
+        if self._curr_T_world is None or not candidates:
+            return None
+        mask = np.asarray(resize_nearest((self._labels == obj.id).astype(np.uint8), view.frame.frame.depth.shape) > 0)
+        best: tuple[float, int, Float64Array] | None = None
+        for number in [n for n in candidates if n in self._objects][: settings.max_candidates]:
+            known = self._objects[number]
+            rest = self._curr_T_world @ known.world_T_object
+            fit = view.fit(known.model, rest)
+            if fit.visible >= self._settings.min_visible and fit.present >= settings.max_rest:
+                continue  # seen at rest
+            found = best_pose(view, known.model, self._starts(known, mask, rest), settings)
+            if found is None:
+                continue
+            shown, _ = view.mask(known.model, found.curr_T_object)
+            overlap = float((shown & mask).sum() / max(1, (shown | mask).sum()))
+            if overlap >= settings.min_overlap and (best is None or found.present > best[0]):
+                best = found.present, number, found.curr_T_object
+        return None if best is None else best[1:]
+
+    def _starts(self, known: KnownObject, mask: BoolMask, rest: Float64Array) -> list[Float64Array]:
+        """Initial poses of a model in a mask: by its looks, and at the mask's centre with its last orientation."""
+        view, settings = self._view, self._settings.follow
+        around = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        looks = known.looks.find(view.frame, view.noise, settings.looks, np.asarray(around))
+        starts = [] if looks is None else [looks]
+        inside = mask & view.frame.valid
+        facing = known.model.facing(rest)
+        if inside.any() and facing.any():
+            center = np.median(view.frame.points[inside].astype(np.float64), axis=0)
+            moved = rest.copy()
+            moved[:3, 3] += center - np.median(geometry.transform(rest, known.model.points[facing]), axis=0)
+            starts.append(moved)
+        return starts

@@ -1,0 +1,71 @@
+"""Textured plates before a wall, with their true labels and motions, for tests of sequences."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from objectflow import SequenceEstimator
+from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
+from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.tracking import SequenceStep
+from objectflow.typing import BoolMask, LabelImage
+
+CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
+ROWS, COLUMNS = np.mgrid[0:120, 0:160]
+TEXTURE = np.random.default_rng(5).integers(60, 200, (6, 6, 3), dtype=np.uint8)
+"""Colours of a plate, squares of 4 cm."""
+Place = tuple[float, float, float]
+
+
+class PlateScene:
+    """Textured square plates of 24 cm before a wall at 2 m; 2 never moves, and 9 hides others.
+
+    Every call renders the frame and the true labels of the plates at their centres (x, y, z), metres.
+    """
+
+    def __init__(self) -> None:
+        self.labels: dict[int, LabelImage] = {}
+        self.places: dict[int, dict[int, Place]] = {}
+
+    def frame(self, number: int, places: dict[int, Place], noise: float = 0.0) -> RgbdFrame:
+        depth = np.full((120, 160), 2.0, np.float32)
+        color = np.full((120, 160, 3), 120, np.uint8)
+        labels = np.zeros((120, 160), np.int32)
+        for plate, (x, y, z) in sorted(places.items(), key=lambda item: -item[1][2]):
+            u, v = (COLUMNS - 79.5) / 150 * z - x + 0.12, (ROWS - 59.5) / 150 * z - y + 0.12
+            inside = (u >= 0) & (u < 0.24) & (v >= 0) & (v < 0.24)
+            cells = (v[inside] * 25).astype(int), (u[inside] * 25).astype(int)
+            color[inside], depth[inside], labels[inside] = np.roll(TEXTURE, plate, axis=2)[cells], z, plate
+        depth += noise * np.random.default_rng(number).standard_normal(depth.shape).astype(np.float32)
+        self.labels[number], self.places[number] = labels, places
+        return RgbdFrame(color, depth, CAMERA, timestamp=float(number))
+
+    def motion(self, number: int, error: Place = (0, 0, 0)) -> SceneMotion:
+        """The true motion of the plates that moved, plus an error, metres."""
+        before, after, labels = self.places[number - 1], self.places[number], self.labels[number].copy()
+        objects = []
+        for plate in np.unique(labels[labels > 0]).tolist():
+            if before.get(plate, after[plate]) == after[plate]:
+                labels[labels == plate] = 0
+                continue
+            motion = np.eye(4)
+            motion[:3, 3] = np.array(before[plate]) - after[plate] - error
+            pixels = int((labels == plate).sum())
+            objects.append(ObjectMotion(plate, pixels, 0.9, True, np.array(after[plate]), motion))
+        return SceneMotion(labels, np.zeros((120, 160, 3), np.float32), tuple(objects))
+
+
+def play(
+    places: list[dict[int, Place]], error: Place = (0, 0, 0), noise: float = 0.0
+) -> tuple[PlateScene, SequenceEstimator, list[SequenceStep]]:
+    """Feed frames of the plates at these places; `error` of each motion and `noise` of depth in metres."""
+    scene = PlateScene()
+    frames = [scene.frame(number, here, noise) for number, here in enumerate(places)]
+    sequence = SequenceEstimator(lambda prev, curr: scene.motion(round(curr.timestamp or 0), error))
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    return scene, sequence, steps
+
+
+def iou(a: BoolMask, b: BoolMask) -> float:
+    return float((a & b).sum() / max(1, (a | b).sum()))
