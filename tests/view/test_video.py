@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from helpers.small_disk import small_disk
 from objectflow.errors import StorageError
 from objectflow.storage.images import encode_png
 from objectflow.typing import UInt8Array
@@ -78,16 +78,7 @@ def test_a_video_that_is_cut_short_is_an_error_and_the_old_one_stays(
 
 def test_a_full_disk_is_named(tmp_path: Path) -> None:
     pictures = write_pictures(tmp_path, noise(8))
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=128k", "tmpfs", str(disk)], capture_output=True, check=False
-    )
-    if mounted.returncode != 0:
-        pytest.skip("a small tmpfs can be mounted by root only")
-    try:
+    with small_disk(tmp_path / "disk", "128k") as disk:
         with pytest.raises(StorageError, match=r"cannot write .*a\.mp4: No space left on device"):
             write_video(disk / "a.mp4", pictures, 5.0)
         assert not list(disk.iterdir())
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)

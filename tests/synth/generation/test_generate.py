@@ -15,6 +15,7 @@ import pytest
 
 from helpers.fake_scenes import SETTINGS, FakeScenes
 from helpers.generated_folders import PAIRS, SCRIPT, SEQUENCES, content, run
+from helpers.small_disk import small_disk
 from objectflow.dataset import manifest as manifests
 from objectflow.dataset.manifest import Manifest
 from objectflow.dataset.shards import open_pairs, open_sequences
@@ -299,14 +300,7 @@ def test_a_full_disk_is_a_one_line_error_and_keeps_finished_shards(
 
 def test_a_really_full_disk_keeps_finished_shards(tmp_path: Path, pool: Pool) -> None:
     run(tmp_path / "one", pool)
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=48k", "tmpfs", str(disk)], capture_output=True, check=False
-    )
-    if mounted.returncode != 0:
-        pytest.skip("a small tmpfs can be mounted by root only")
-    try:
+    with small_disk(tmp_path / "disk", "48k") as disk:
         with pytest.raises(StorageError, match="No space left on device"):
             run(disk / "a", pool)
         kept = content(disk / "a")
@@ -316,5 +310,3 @@ def test_a_really_full_disk_keeps_finished_shards(tmp_path: Path, pool: Pool) ->
         subprocess.run(["mount", "-o", "remount,size=8m", str(disk)], check=True)
         run(disk / "a", pool)
         assert content(disk / "a") == content(tmp_path / "one")
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
