@@ -28,7 +28,7 @@ class Export:
     """Weights of a learned method."""
 
     method: Annotated[str, option("NAME", DEFAULT_METHOD)] = DEFAULT_METHOD
-    """Method whose network is exported; a file of weights tells it by itself."""
+    """Method whose network is exported; a file given by --weights determines it."""
 
     size: Annotated[tuple[int, int] | None, option("H W", "the size of training")] = None
     """Height and width of the frames that the exported network takes."""

@@ -51,7 +51,7 @@ def write_text(path: Path, text: str) -> None:
 def new_file(path: Path) -> Iterator[Path]:
     """Yield the path of a file to be written by a library; rename it to `path` at the end, or remove it on failure.
 
-    The temporary file has the name of `path`, whose ending tells some libraries the format.
+    The temporary file has the name of `path`, since some libraries choose the format by its ending.
 
     Raises:
         StorageError: writing failed, or nothing was written.

@@ -1,4 +1,4 @@
-"""`Evidence`: what a tracker asks about objects whose shape is known."""
+"""`Evidence`: what the current frame shows of objects whose shape is known, as a tracker uses it."""
 
 from __future__ import annotations
 
