@@ -55,7 +55,7 @@ def main(settings: Settings) -> None:
     torch.set_num_threads(1)
     pairs = open_set(str(settings.data), split=settings.split)
     keys = pairs.keys[: settings.limit]
-    print(print(f"{len(keys)} pairs of {settings.data.name}; queries are merged from an overlap of {DUPLICATE_IOU}\n"))
+    print(f"{len(keys)} pairs of {settings.data.name}; queries are merged from an overlap of {DUPLICATE_IOU}\n")
     print("| queries | radius, m | mean F | extracted | merged: mean F | extracted | network, CPU s |")
     print("|---|---|---|---|---|---|---|")
     for radius in settings.radii:
