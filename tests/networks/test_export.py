@@ -117,3 +117,18 @@ def test_the_default_is_the_released_network_of_the_default_method(
     assert main(["export", "--out", str(tmp_path / "n.onnx"), "--size", "64", "80"]) == 0
     assert "64x80" in capfd.readouterr().out
     assert "anchors" in [output.name for output in onnx.load(tmp_path / "n.onnx").graph.output]
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("rigidmach", "unknown method 'rigidmach': did you mean 'rigidmatch'?"),
+        ("consensus", "the method consensus has no network to export: choose one of rigidmatch, sceneflownet-c-vl"),
+    ],
+)
+def test_methods_without_a_network_are_named(
+    method: str, message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", "--method", method, "--out", str(tmp_path / "n.onnx")]) == 2
+    assert message in capfd.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -67,14 +67,7 @@ def test_a_motion_that_the_frame_refutes_is_given_to_a_new_track(moves: bool) ->
     scene = PlateScene()
     frames = [scene.frame(number, here) for number, here in enumerate(places)]
 
-    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        number = round(curr.timestamp or 0)
-        if number < 5:
-            return scene.motion(number)
-        usual = replace(scene.motion(3).objects[0], score=0.9)
-        return SceneMotion(np.where(scene.labels[5] == 1, 1, 0).astype(np.int32), scene.motion(3).scene_flow, (usual,))
-
-    sequence = SequenceEstimator(estimate)
+    sequence = SequenceEstimator(scene.estimator(5, 3, 0.9))
     for frame in frames:
         sequence.update(frame)
     last = sequence.tracks[0].world_T_object[-1][0, 3] - sequence.tracks[0].world_T_object[0][0, 3]

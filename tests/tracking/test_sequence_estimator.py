@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,14 +137,7 @@ def test_a_step_of_low_score_is_followed_where_the_model_confirms_it(moves: bool
     scene = PlateScene()
     frames = [scene.frame(number, here) for number, here in enumerate([*PUSH[:4], PUSH[4 if moves else 3]])]
 
-    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        number = int(curr.timestamp or 0)
-        if number < 4:
-            return scene.motion(number)
-        usual = replace(scene.motion(3).objects[0], score=0.1)
-        return SceneMotion(np.where(scene.labels[4] == 1, 1, 0).astype(np.int32), scene.motion(3).scene_flow, (usual,))
-
-    sequence = SequenceEstimator(estimate)
+    sequence = SequenceEstimator(scene.estimator(4, 3, 0.1))
     for frame in frames:
         sequence.update(frame)
     (track,) = sequence.tracks

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from objectflow.cli.arguments import option
-from objectflow.methods.registry import DEFAULT_METHOD
+from objectflow.errors import MethodError
+from objectflow.methods.registry import DEFAULT_METHOD, METHODS, has_network
 from objectflow.storage.temporaries import sweep
 
 EXAMPLES = """\
@@ -37,12 +38,19 @@ class Export:
     """File format."""
 
     def run(self) -> None:
-        """Load the weights, export the network, verify it, and write the file."""
+        """Load the weights, export the network, verify it, and write the file.
+
+        Raises:
+            MethodError: an unknown method, or one without a network.
+        """
         from objectflow.methods.find_weights import find_weights
         from objectflow.methods.network_io import trained_size
         from objectflow.networks.export import OPSET, export_onnx
         from objectflow.networks.weights import load_network
 
+        if not has_network(self.method):
+            choices = ", ".join(name for name in METHODS if has_network(name))
+            raise MethodError(f"the method {self.method} has no network to export: choose one of {choices}")
         sweep(self.out.parent)
         path = find_weights(self.method, self.weights)
         network, metadata = load_network(path)

@@ -119,6 +119,15 @@ def find_class(name: str) -> type[PairEstimator]:
     return cast("type[PairEstimator]", getattr(importlib.import_module(entry.module), entry.factory))
 
 
+def has_network(name: str) -> bool:
+    """Whether a method is learned: its settings then name a file of weights.
+
+    Raises:
+        MethodError: an unknown name; the message lists the choices.
+    """
+    return any(field.name == "weights" for field in dataclasses.fields(cast(Any, find_class(name))))
+
+
 def check_name(name: str) -> None:
     """Check the name of a method.
 

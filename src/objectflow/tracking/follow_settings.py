@@ -43,7 +43,7 @@ class FollowSettings(Settings):
     min_overlap: float = setting(0.5, minimum=0, maximum=1)
     """Minimum intersection over union of the masks of a new object and of the lost object that it is."""
     min_part: float = setting(0.25, minimum=0, maximum=0.5)
-    """Minimum share of a model's visible points in each part, where one part moves and the other one rests."""
+    """Minimum share of a model's visible points in each part, where one part moves and the other rests."""
     part_margin: int = setting(3, minimum=0)
     """Pixels around the mask of the moving part that do not count as evidence for a part at rest."""
     refused_rest: float = setting(0.9, minimum=0, maximum=1)
