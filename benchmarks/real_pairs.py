@@ -22,6 +22,7 @@ from rich.table import Table
 import objectflow
 from objectflow import geometry
 from objectflow.typing import BoolMask
+from quarter_turns import turn_back, turn_frame
 from real_expectations import EXPECTATIONS, Box, Expectation
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,6 +46,8 @@ class Settings:
     """Name of the method."""
     only: tuple[str, ...] = ()
     """Parts of names: other pairs are left out."""
+    quarters: int = 0
+    """Number of quarter turns by which the frames are turned, as those of a camera that is mounted so."""
     pictures: Path | None = None
     """Folder for pictures with the outlines of every result."""
 
@@ -60,7 +63,8 @@ def main(settings: Settings) -> int:
         camera = "moving" if folder.name in MOVING_CAMERA else "auto"
         estimator = objectflow.load(settings.method, camera=camera)
         start = time.perf_counter()
-        motion = estimator(prev, curr)
+        motion = estimator(turn_frame(prev, settings.quarters), turn_frame(curr, settings.quarters))
+        motion = turn_back(motion, settings.quarters)
         seconds = time.perf_counter() - start
         truth = read_truth(folder, curr)
         verdict = judge_by_masks(motion, truth, curr) if truth else judge_by_boxes(motion, EXPECTATIONS[folder.name])
