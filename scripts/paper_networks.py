@@ -2,9 +2,15 @@
 
     python scripts/paper_networks.py OUT --data data --hours 4
 
-DATA is a set with the splits train, val and test, the last with sequences. OUT/s, OUT/c and OUT/c-vl are runs of
-`objectflow train` of equal length, OUT/test and OUT/sequences are evaluations, and OUT/curves.png shows the loss of s
-and c (the paper's figure 5). The same command continues what was interrupted.
+DATA is a set with the splits train, val and test, the last with sequences. OUT/s-1, OUT/c-1 and OUT/c-vl-1 are runs of
+`objectflow train` of equal length, OUT/test and OUT/sequences are evaluations, and OUT/curves-1.png shows the loss of
+s and c (the paper's figure 5). With --options of several stages, OUT/s-2 continues from the weights of OUT/s-1, and so
+on:
+
+    python scripts/paper_networks.py OUT --data data --hours 4 --options "--learning-rate 2e-3" \
+        "--learning-rate 1e-3 --size 192 256 --batch-size 6"
+
+The same command continues what was interrupted.
 """
 
 from __future__ import annotations
@@ -43,11 +49,13 @@ class Settings:
     extra_data: tuple[Path, ...] = ()
     """More sets, whose split train is mixed in."""
     hours: float = 4.0
-    """Time of each training."""
+    """Time of each training, which its stages share evenly."""
     recipe: str = "cpu"
     """Recipe of `objectflow train`: paper, gpu or cpu."""
-    options: str = ""
-    """More options of `objectflow train`, given as --options="...", for all three alike."""
+    options: tuple[str, ...] = ("",)
+    """More options of `objectflow train`, for all three alike: one text for each stage, as --options "..." "..."."""
+    correlation_options: str = ""
+    """More options of c and c-vl in every stage, such as those of XFeat, which s has no use for."""
     pairs: int = 1000
     """Number of test pairs."""
     baseline_pairs: int = 100
@@ -60,22 +68,35 @@ def call(*words: str) -> None:
     subprocess.run([*PROGRAM, *words], check=True)
 
 
+def stage(out: Path, variant: str, number: int) -> Path:
+    """The run of one stage of a network's training; stages count from 1."""
+    return out / f"{variant}-{number}"
+
+
 def train(settings: Settings) -> None:
     """Train the networks one after another, each for the same time."""
+    out, stages = settings.out, len(settings.options)
     extra = ["--extra-data", *map(str, settings.extra_data)] if settings.extra_data else []
     for variant in VARIANTS:
-        words = ["--recipe", settings.recipe, "--variant", variant, "--data", str(settings.data), *extra]
-        words += ["--out", str(settings.out / variant), "--resume", "--minutes", f"{60 * settings.hours:g}"]
-        call("train", *words, *shlex.split(settings.options))
-    runs = [str(settings.out / variant) for variant in VARIANTS[:2]]
-    picture = str(settings.out / "curves.png")
-    subprocess.run([sys.executable, str(ROOT / "scripts" / "compare_runs.py"), picture, *runs], check=True)
+        for number, options in enumerate(settings.options, 1):
+            words = ["--recipe", settings.recipe, "--variant", variant, "--data", str(settings.data), *extra]
+            words += ["--out", str(stage(out, variant, number)), "--resume"]
+            words += ["--minutes", f"{60 * settings.hours / stages:g}"]
+            if number > 1:
+                words += ["--start-from", str(stage(out, variant, number - 1) / "weights.safetensors")]
+            own = "" if variant == "s" else settings.correlation_options
+            call("train", *words, *shlex.split(options), *shlex.split(own))
+    for number in range(1, stages + 1):
+        runs = [str(stage(out, variant, number)) for variant in VARIANTS[:2]]
+        picture = str(out / f"curves-{number}.png")
+        subprocess.run([sys.executable, str(ROOT / "scripts" / "compare_runs.py"), picture, *runs], check=True)
 
 
-def networks(out: Path) -> list[str]:
+def networks(settings: Settings) -> list[str]:
     """The networks with every form of rigid motion, as methods of `objectflow evaluate`."""
+    runs = {variant: stage(settings.out, variant, len(settings.options)) for variant in VARIANTS}
     return [
-        f"{variant}+{rigid}=sceneflownet-{variant}:weights={out / variant / 'weights.safetensors'},rigid={rigid}"
+        f"{variant}+{rigid}=sceneflownet-{variant}:weights={runs[variant] / 'weights.safetensors'},rigid={rigid}"
         for variant in VARIANTS
         for rigid in ("none", "average", "refine")
     ]
@@ -84,8 +105,8 @@ def networks(out: Path) -> list[str]:
 def evaluate(settings: Settings) -> None:
     """Evaluate all methods on pairs, and those that are fast enough on more pairs and on sequences."""
     out, common = settings.out, ["--data", str(settings.data), "--split", "test", "--camera", "static"]
-    fast = ["zero", "consensus", "rigidmatch", *networks(out)]
-    slow = [*CLASSICAL, *networks(out)]
+    fast = ["zero", "consensus", "rigidmatch", *networks(settings)]
+    slow = [*CLASSICAL, *networks(settings)]
     call(
         "evaluate",
         *common,

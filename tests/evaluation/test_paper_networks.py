@@ -6,9 +6,10 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from helpers.report_set import estimate_noisy, estimate_zero, make_set
-from paper_networks import CLASSICAL, PAPER_RATIO, claims, difference, mean_error, networks
+from paper_networks import CLASSICAL, PAPER_RATIO, Settings, claims, difference, mean_error, networks, train
 
 NETWORKS = ("s+average", "c+average", "c-vl+none", "c-vl+average", "c-vl+refine")
 
@@ -40,6 +41,31 @@ def test_claims_name_the_best_baseline_and_every_effect() -> None:
 
 
 def test_every_network_is_evaluated_with_every_form_of_rigid_motion() -> None:
-    words = networks(Path("out"))
+    words = networks(Settings(Path("out"), Path("data"), options=("", "--size 192 256")))
     assert len(words) == 9
-    assert words[1] == "s+average=sceneflownet-s:weights=out/s/weights.safetensors,rigid=average"
+    assert words[1] == "s+average=sceneflownet-s:weights=out/s-2/weights.safetensors,rigid=average"
+
+
+def test_stages_share_the_time_and_continue_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[list[str]] = []
+
+    def record(command: list[str], check: bool) -> None:
+        assert check
+        called.append(command)
+
+    monkeypatch.setattr("paper_networks.subprocess.run", record)
+    stages = ("--learning-rate 2e-3", "--learning-rate 1e-3 --size 192 256")
+    train(Settings(Path("out"), Path("data"), hours=3, options=stages, correlation_options="--model.network.xfeat"))
+    runs = [command for command in called if "train" in command]
+    assert [run[run.index("--out") + 1] for run in runs] == [
+        f"out/{variant}-{number}" for variant in ("s", "c", "c-vl") for number in (1, 2)
+    ]
+    assert all("--start-from" not in run for run in runs[::2])
+    assert {run[run.index("--minutes") + 1] for run in runs} == {"90"}
+    assert [("--model.network.xfeat" in run) for run in runs] == [False, False, True, True, True, True]
+    assert runs[3][runs[3].index("--start-from") + 1] == "out/c-1/weights.safetensors"
+    assert runs[3][-4:] == ["--size", "192", "256", "--model.network.xfeat"]
+    pictures = [command for command in called if "train" not in command]
+    assert [command[-3:] for command in pictures] == [
+        [f"out/curves-{number}.png", f"out/s-{number}", f"out/c-{number}"] for number in (1, 2)
+    ]
