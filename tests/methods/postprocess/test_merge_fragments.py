@@ -113,8 +113,8 @@ def test_conditions_of_merging(gap: float, motion: Float64Array, moving: bool, c
     ("merge", "count"),
     [
         (MergeSettings(), ONE_OBJECT),
-        (MergeSettings(max_depth_step=0.5 * DEPTH_STEP), TWO_OBJECTS),
-        (MergeSettings(max_depth_step=0.5 * DEPTH_STEP, min_contact=0.0), ONE_OBJECT),
+        (MergeSettings(max_depth_step=0.5 * DEPTH_STEP, max_gap_ratio=0.0), TWO_OBJECTS),
+        (MergeSettings(max_depth_step=0.5 * DEPTH_STEP, max_gap_ratio=0.0, min_contact=0.0), ONE_OBJECT),
         (MergeSettings(max_loss=0.0), TWO_OBJECTS),
         (MergeSettings(max_cost=0.0), TWO_OBJECTS),
     ],
@@ -151,6 +151,28 @@ def test_motions_that_agree_may_fit_worse(apart: float, merge: MergeSettings, co
     objects = (half(1, 300, beside), half(2, 500, off))
     settings = dataclasses.replace(DEFAULTS, merge=merge)
     assert 1 < PairLikelihood(pair, DEFAULTS.likelihood).cost(off, labels > 0).mean() < 2
+    assert len(merge_fragments(pair, labels, objects, settings)[1]) == count
+
+
+@pytest.mark.parametrize(
+    ("gap", "apart", "merge", "count"),
+    [
+        pytest.param(0.011, 0.0, MergeSettings(), ONE_OBJECT, id="a small gap and one motion"),
+        pytest.param(0.011, 0.0, MergeSettings(max_gap_ratio=0.01), TWO_OBJECTS, id="a smaller largest gap"),
+        pytest.param(0.04, 0.0, MergeSettings(), TWO_OBJECTS, id="a large gap"),
+        pytest.param(0.04, 0.0, MergeSettings(max_gap_ratio=0.2), ONE_OBJECT, id="a larger largest gap"),
+        pytest.param(0.011, 0.02, MergeSettings(), ONE_OBJECT, id="motions that differ, one of which explains both"),
+        pytest.param(0.011, 0.02, MergeSettings(max_cost=0.0), TWO_OBJECTS, id="the same, but it may cost nothing"),
+    ],
+)
+def test_pieces_beyond_a_depth_step_are_merged_if_one_motion_explains_both(
+    gap: float, apart: float, merge: MergeSettings, count: int
+) -> None:
+    """The plates have no texture, so a motion that is 2 cm off sideways explains nearly all of them."""
+    pair, labels = two_halves(gap)
+    beside = geometry.make_transform(np.eye(3), [apart, 0.0, 0.1])
+    objects = (half(1, 300, beside), half(2, 500))
+    settings = dataclasses.replace(DEFAULTS, merge=merge)
     assert len(merge_fragments(pair, labels, objects, settings)[1]) == count
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
@@ -21,8 +22,9 @@ def merge_fragments(
     """Merge moving objects that touch along a continuous surface and that one motion explains.
 
     Each object, the smallest first, is merged into the neighbour with which the least likelihood is lost. Where the
-    two motions agree within the noise of matches, they may explain their objects less well. Two bodies that move as
-    one cannot be told from one body; static objects are never merged.
+    two motions agree within the noise of matches, they may explain their objects less well. Neighbours beyond a small
+    gap or a step of depth, such as the handle of a cup, are merged if the motions agree or hardly anything is lost.
+    Two bodies that move as one cannot be told from one body; static objects are never merged.
 
     Args:
         pair: the frames, from a static camera.
@@ -70,21 +72,35 @@ def _partner(
         return None
     own = likelihood.cost(small.prev_T_curr, mask).sum()
     best, out = settings.max_loss, None
-    for number, share in likelihood.contact_ratio(labels, mask, settings.max_depth_step).items():
-        other = objects[number]
-        if share < settings.min_contact or not other.moving or other.pixels < small.pixels:
+    contact = likelihood.contact_ratio(labels, mask, settings.max_depth_step)
+    for number, other in objects.items():
+        if number == small.id or not other.moving or other.pixels < small.pixels:
             continue
         theirs = likelihood.mask(labels, number)
+        joined = contact.get(number, 0.0) >= settings.min_contact
+        if not theirs.any() or not (joined or _near(likelihood, mask, theirs, settings)):
+            continue
         agree = _agree(likelihood, small, other, mask | theirs, settings)
-        max_cost = settings.max_cost * (settings.agreement_factor if agree else 1.0)
+        limit = best if joined or agree else min(best, settings.max_apart_loss)
+        max_cost = settings.max_cost * (settings.agreement_factor if agree and joined else 1.0)
         apart = own + likelihood.cost(other.prev_T_curr, theirs).sum()
         for motion in (other.prev_T_curr, small.prev_T_curr):
             together = likelihood.cost(motion, mask).sum() + likelihood.cost(motion, theirs).sum()
             count = mask.sum() + theirs.sum()
             lost = float(together - apart) / count
-            if lost < best and together < max_cost * count:
-                best, out = lost, (other, motion)
+            if lost < limit and together < max_cost * count:
+                best = limit = lost
+                out = other, motion
     return out
+
+
+def _near(likelihood: PairLikelihood, one: BoolMask, other: BoolMask, settings: MergeSettings) -> bool:
+    """Whether the gap between two masks is small beside the objects: another object may hide what joins them."""
+    points, others = (likelihood.points[mask].astype(np.float64) for mask in (one, other))
+    points, others = (some[:: 1 + len(some) // settings.max_points] for some in (points, others))
+    size = float(np.linalg.norm(np.ptp(others, axis=0)))
+    gap = float(cKDTree(others).query(points)[0].min())
+    return gap < settings.max_gap_ratio * size
 
 
 def _agree(

@@ -28,7 +28,7 @@ class StaticTestSettings(Settings):
     free_space_violation_ratio: float = setting(0.02, minimum=0, maximum=1)
     """Share of pixels that would violate free space if they stood still, above which the object must have moved. Depth
     edges produce a few such pixels anywhere."""
-    network_confidence: float = setting(0.6, minimum=0, maximum=1)
+    network_confidence: float = setting(0.3, minimum=0, maximum=1)
     """Probability of an object from which the network decides where the frames give no evidence."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
@@ -218,6 +218,13 @@ class MergeSettings(Settings):
     """Factor on `max_cost` where the motions agree, which is evidence of one body by itself."""
     max_depth_step: float = setting(0.01, above=0)
     """Metres between neighbouring pixels at which a surface ends."""
+    max_gap_ratio: float = setting(0.05, minimum=0)
+    """Largest distance between fragments that do not touch along a continuous surface, relative to the extent of the
+    larger one. Farther pieces with one motion may be things that were moved together."""
+    max_apart_loss: float = setting(0.05, minimum=0)
+    """Largest loss of such fragments, unless their motions agree."""
+    max_points: int = setting(300, minimum=3)
+    """Maximum number of points of each fragment between which this distance is measured."""
 
 
 @dataclass(frozen=True)
