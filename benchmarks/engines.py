@@ -41,7 +41,7 @@ CALIBRATION_SEED, PAIR_SEED = 2000, 1000
 class Settings:
     """Times engines on analytic pairs of 640x480."""
 
-    weights: tuple[str, ...] = ("src/objectflow/weights", "weights/in_training")
+    weights: tuple[str, ...] = ("src/objectflow/weights",)
     """Folders or files of weights."""
     pairs: int = 6
     """Pairs that are timed, after one that is not."""

@@ -47,7 +47,7 @@ class Settings:
     """Share of the time for generation."""
     validation_pairs: int = 64
     """Pairs of falling piles for validation."""
-    start_from: Path = ROOT / "weights" / "in_training" / "rigidmatch.safetensors"
+    start_from: Path = ROOT / "src" / "objectflow" / "weights" / "rigidmatch.safetensors"
     """Weights to start from."""
     workers: int = os.cpu_count() or 1
     """Processes of generation."""

@@ -16,11 +16,11 @@ from objectflow.networks.rigidmatch.inputs import clean_points, grid
 from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, pixel_masks
 from objectflow.typing import Float32Array, LabelImage
 
-OBJECT_MASK_THRESHOLD = 0.1
+OBJECT_MASK_THRESHOLD = 0.05
 """Minimum object probability, 0..1. It is low because overlapping and static objects are removed later; chosen on
 validation pairs and on real pairs."""
 QUERY_THRESHOLD = 0.05
-"""Minimum probability, 0..1, of a query; it is below that of an object, since several queries share one object."""
+"""Highest minimum probability, 0..1, of a query: several queries may share one object, whose probability is higher."""
 DUPLICATE_IOU = 0.7
 """Minimum intersection over union, 0..1, of the masks of two queries on one object."""
 OVERLAP_THRESHOLD = 0.5
