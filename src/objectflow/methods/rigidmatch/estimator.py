@@ -72,8 +72,9 @@ class RigidMatchConfig(CompensationConfig):
     """Minimum share of its mask that an object keeps where masks overlap; an object with less is removed."""
     duplicate_iou: float = setting(DUPLICATE_IOU, minimum=0, maximum=1)
     """Minimum intersection over union of the masks of two queries on one object, which are merged; 1 merges none."""
-    matching: MatchSettings = MatchSettings(feature_width=320)
-    """The network finds large displacements, so features of half the size are enough, in a quarter of the time."""
+    matching: MatchSettings = MatchSettings(feature_width=320, sufficient_flow_share=0.5)
+    """The network finds large displacements of objects, so features serve large motions of the camera alone: they are
+    matched where optical flow fails, and at half the size."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
