@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,10 +36,12 @@ class PreparedFrame:
 
     Attributes:
         frame: the frame itself.
+        memo: what methods compute of the frame once, by their own keys.
     """
 
     def __init__(self, frame: RgbdFrame) -> None:
         self.frame = frame
+        self.memo: dict[object, Any] = {}
         self._resized: dict[tuple[int, int], PreparedFrame] = {}
         self._keypoints: dict[tuple[int, float], Keypoints] = {}
 
