@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
@@ -10,7 +11,7 @@ from objectflow import geometry
 from objectflow.alignment.camera_estimate import CameraEstimate, CameraMode, estimate_camera
 from objectflow.alignment.camera_motion import CameraMotionSettings, dominant_motion
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.matching import PixelMatches
+from objectflow.alignment.matching import MatchSettings, PixelMatches
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, MeasuredDepthNoise
@@ -77,6 +78,22 @@ def test_a_board_that_fills_most_of_the_image_is_ambiguous() -> None:
     assert found.ambiguous
     assert found.notes[0].startswith("camera: ambiguous: a large part of the image stands still")
     assert not estimate(*frames, "static").ambiguous
+
+
+def test_features_find_a_camera_that_moved_too_far_for_optical_flow() -> None:
+    camera, shift = Camera(640, 480, 550.0, 550.0, 319.5, 239.5), 330
+    noise = np.random.default_rng(0).integers(0, 256, (30, 60 + 10, 3)).astype(np.uint8)
+    texture = cv2.resize(noise, (640 + shift, 480), interpolation=cv2.INTER_CUBIC)
+    depth = np.full((480, 640), 1.1, np.float32)
+    prev, curr = (
+        RgbdFrame(np.ascontiguousarray(texture[:, start : start + 640]), depth, camera) for start in (shift, 0)
+    )
+    by_flow = FramePair(prev, curr, matching=MatchSettings(sufficient_flow_share=0.0))
+    assert by_flow.flow.share < 0.3
+    found = estimate_camera(by_flow)
+    assert found.state == "moving"
+    assert found.prev_T_curr is not None
+    np.testing.assert_allclose(found.prev_T_curr[:3, 3], [-shift * 1.1 / 550, 0, 0], atol=0.01)
 
 
 def matches_with_outliers(share: float, motion: Float64Array) -> PixelMatches:

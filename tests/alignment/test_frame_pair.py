@@ -152,6 +152,25 @@ def test_other_match_settings_keep_the_prepared_frames() -> None:
     assert 14 < on_grid / on_sparse_grid < 18  # one in sixteen
 
 
+def test_features_are_left_out_where_flow_suffices(calls: Counter[str]) -> None:
+    pair = FramePair(SCENE.prev, SCENE.curr, matching=MatchSettings(sufficient_flow_share=0.5))
+    assert pair.flow.share > 0.5
+    np.testing.assert_array_equal(pair.matches.pixels, pair.flow.matches.pixels)
+    assert pair.lacks_features
+    assert calls["create"] == 0
+    whole = pair.with_features()
+    assert not whole.lacks_features
+    assert whole is pair.with_features() is whole.with_features()
+    assert len(whole.matches.curr) > len(pair.matches.curr)
+    np.testing.assert_array_equal(whole.matches.pixels, FramePair(SCENE.prev, SCENE.curr).matches.pixels)
+    assert whole.flow is pair.flow
+    assert calls["create"] == 4  # two of them for the other pair
+    strict = FramePair(SCENE.prev, SCENE.curr, matching=MatchSettings(sufficient_flow_share=0.999))
+    assert not strict.lacks_features
+    matches = strict.matches
+    assert strict.with_features().matches is matches
+
+
 def test_prepared_frames_are_taken_as_they_are() -> None:
     prepared = PreparedFrame(SCENE.prev)
     assert PreparedFrame.of(prepared) is prepared

@@ -122,6 +122,21 @@ def estimate_camera(
     if camera == "static":
         equal, light = _equalised(pair, None, depth_noise, settings)
         return CameraEstimate("static", None, equal, light=light)
+    found = _searched(pair, camera, depth_noise, seed, motion, settings)
+    if found.state == "unknown" and pair.at_width(motion.width).lacks_features:
+        return _searched(pair.with_features(), camera, depth_noise, seed, motion, settings)
+    return found
+
+
+def _searched(
+    pair: FramePair,
+    camera: CameraMode,
+    depth_noise: DepthNoiseName,
+    seed: int,
+    motion: CameraMotionSettings,
+    settings: CameraCheckSettings,
+) -> CameraEstimate:
+    """The estimate by the matches of the pair."""
     rng = np.random.default_rng(seed)
     moved = background_motion(pair, camera=camera, rng=rng, settings=motion)
     found = _judged(pair, moved, camera, depth_noise, settings)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from objectflow import geometry
 from objectflow.alignment.matching import PixelMatches
 from objectflow.alignment.registration import TUKEY
+from objectflow.alignment.robust import median, tukey_weights
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.settings import Settings, setting
@@ -62,9 +63,8 @@ def fit_matches(
     for _ in range(settings.iterations):
         error = np.linalg.norm(geometry.transform(prev_T_curr, matches.curr.astype(np.float64)) - matches.prev, axis=1)
         scaled = error / sigma
-        scale = max(1.0, 1.4826 * float(np.median(scaled)))
-        limit = settings.tukey * scale
-        robust = np.where(scaled < limit, (1 - (scaled / limit) ** 2) ** 2, 0.0)
+        scale = max(1.0, 1.4826 * median(scaled))
+        robust = tukey_weights(scaled, settings.tukey * scale)
         if (robust > 0).sum() < 3:
             break
         updated, determined = geometry.kabsch(matches.curr, matches.prev, precision * robust)

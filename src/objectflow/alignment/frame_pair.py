@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cached_property
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment.matching import DEFAULTS as MATCHING
-from objectflow.alignment.matching import MatchSettings, PixelMatches, match_frames
+from objectflow.alignment.matching import FlowMatches, MatchSettings, PixelMatches, match_by_flow, match_frames
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSources, RegistrationTarget
 from objectflow.frame import RgbdFrame, check_pair
@@ -47,6 +48,7 @@ class FramePair:
         self._at: dict[int, FramePair] = {}
         self.memo: dict[object, Any] = {}
         self._carried: tuple[FramePair, Float64Array] | None = None
+        self._with_features: FramePair | None = None
 
     def at_width(self, width: int) -> FramePair:
         """The pair downscaled to a width in pixels; itself where it is no wider."""
@@ -69,8 +71,7 @@ class FramePair:
         pair = FramePair(self.prev, self.curr, noise=noise, matching=self.matching)
         pair._at = {width: smaller.with_noise(noise) for width, smaller in self._at.items()}
         pair._carried = self._carried
-        if "matches" in vars(self):
-            vars(pair)["matches"] = self.matches  # matches do not depend on the noise
+        self._share(pair, "flow", "matches")  # they do not depend on the noise
         return pair
 
     def with_matching(self, matching: MatchSettings) -> FramePair:
@@ -78,6 +79,24 @@ class FramePair:
         if matching == self.matching:
             return self
         return FramePair(self.prev, self.curr, noise=self.noise, matching=matching)
+
+    @property
+    def lacks_features(self) -> bool:
+        """Whether features are left out of the matches, as optical flow suffices."""
+        return self._carried is None and self.flow.share > self.matching.sufficient_flow_share
+
+    def with_features(self) -> FramePair:
+        """The same prepared frames with features among their matches in any case; itself where they are already."""
+        if self._carried is not None or self.matching.sufficient_flow_share >= 1:
+            return self
+        if self._with_features is None:
+            pair = self.with_matching(dataclasses.replace(self.matching, sufficient_flow_share=1.0))
+            pair._at = {width: smaller.with_features() for width, smaller in self._at.items()}
+            self._share(pair, "flow")
+            if "matches" in vars(self) and not self.lacks_features:
+                self._share(pair, "matches")
+            self._with_features = pair
+        return self._with_features
 
     def with_previous(self, prev: RgbdFrame, seen_T_prev: Float64Array) -> FramePair:
         """The pair with its previous frame as another camera pose saw it; matches are carried along.
@@ -95,15 +114,20 @@ class FramePair:
         return FramePair(self.curr, frame, noise=self.noise, matching=self.matching)
 
     @cached_property
+    def flow(self) -> FlowMatches:
+        """Matches between the frames by optical flow."""
+        return match_by_flow(self.prev, self.curr, self.matching)
+
+    @cached_property
     def matches(self) -> PixelMatches:
-        """Matches between the frames, by optical flow and by features."""
+        """Matches between the frames; see `match_frames`."""
         if self._carried is not None:
             source, seen_T_prev = self._carried
             found = source.matches
             return PixelMatches(
                 found.pixels, found.curr, geometry.transform(seen_T_prev, found.prev).astype(np.float32)
             )
-        return match_frames(self.prev, self.curr, self.matching)
+        return match_frames(self.prev, self.curr, self.matching, self.flow)
 
     @cached_property
     def target(self) -> RegistrationTarget:
@@ -114,3 +138,7 @@ class FramePair:
     def sources(self) -> RegistrationSources:
         """The current frame, from which the points of an object are taken."""
         return RegistrationSources(self.curr)
+
+    def _share(self, pair: FramePair, *names: str) -> None:
+        """Give a pair those of the cached properties that are known here."""
+        vars(pair).update({name: vars(self)[name] for name in names if name in vars(self)})

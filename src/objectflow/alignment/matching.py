@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -41,6 +42,9 @@ class MatchSettings(Settings):
     matching removes what is ambiguous."""
     max_descriptor_ratio: float = setting(0.85, above=0, maximum=1)
     """Largest distance of a feature to its match, relative to that of the second nearest feature."""
+    sufficient_flow_share: float = setting(1.0, minimum=0, maximum=1)
+    """Share of the pixels with consistent optical flow above which no features are matched; 1 always matches them.
+    Optical flow fails nearly everywhere where a camera moves too far for it."""
     surface_step_ratio: float = setting(0.02, minimum=0)
     """Largest difference of depth between the four pixels around a match, relative to depth."""
     surface_step: float = setting(0.005, minimum=0)
@@ -74,13 +78,41 @@ class PixelMatches:
         )
 
 
-def match_frames(prev: PreparedFrame, curr: PreparedFrame, settings: MatchSettings = DEFAULTS) -> PixelMatches:
-    """Optical flow on a grid, for small displacements everywhere, and feature matches, for large ones on texture."""
+class FlowMatches(NamedTuple):
+    """Matches by optical flow.
+
+    Attributes:
+        matches: on a grid, where flow is consistent.
+        share: 0..1, of the pixels with consistent flow.
+    """
+
+    matches: PixelMatches
+    share: float
+
+
+def match_by_flow(prev: PreparedFrame, curr: PreparedFrame, settings: MatchSettings = DEFAULTS) -> FlowMatches:
+    """Optical flow on a grid, for small displacements everywhere."""
     flow, consistent = dense_flow(prev.gray, curr.gray, settings)
     narrow = curr.frame.camera.width <= settings.narrow_width
     stride = settings.narrow_stride if narrow else settings.stride
-    by_flow = flow_matches(flow, consistent, prev.frame, curr.frame, stride=stride, settings=settings)
-    return by_flow + feature_matches(prev, curr, settings)
+    matches = flow_matches(flow, consistent, prev.frame, curr.frame, stride=stride, settings=settings)
+    return FlowMatches(matches, float(consistent.mean()))
+
+
+def match_frames(
+    prev: PreparedFrame, curr: PreparedFrame, settings: MatchSettings = DEFAULTS, flow: FlowMatches | None = None
+) -> PixelMatches:
+    """Matches by optical flow and, unless flow suffices, of features, for large displacements of textured surfaces.
+
+    Args:
+        prev, curr: the frames.
+        settings: `sufficient_flow_share` decides about features.
+        flow: of the same frames, where it is known already.
+    """
+    flow = match_by_flow(prev, curr, settings) if flow is None else flow
+    if flow.share > settings.sufficient_flow_share:
+        return flow.matches
+    return flow.matches + feature_matches(prev, curr, settings)
 
 
 def dense_flow(

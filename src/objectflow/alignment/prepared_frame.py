@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -36,10 +36,12 @@ class PreparedFrame:
 
     Attributes:
         frame: the frame itself.
+        memo: what methods compute of the frame once, by their own keys.
     """
 
     def __init__(self, frame: RgbdFrame) -> None:
         self.frame = frame
+        self.memo: dict[object, Any] = {}
         self._resized: dict[tuple[int, int], PreparedFrame] = {}
         self._keypoints: dict[tuple[int, float], Keypoints] = {}
 
@@ -90,6 +92,16 @@ class PreparedFrame:
         return tuple(np.asarray(cv2.GaussianBlur(base, (0, 0), sigma), dtype=np.float32) for sigma in GRAY_BLURS)
 
     @cached_property
+    def surface(self) -> Float32Array:
+        """(H W, 6) float32: points and normals side by side, so that one gather fetches both."""
+        return np.concatenate([self.points, self.normals], axis=-1).reshape(-1, 6)
+
+    @cached_property
+    def shades(self) -> tuple[Float32Array, ...]:
+        """(H, W, 3) for each blur: grey levels and their gradient per pixel along u and v."""
+        return tuple(_with_gradient(image) for image in self.blurred)
+
+    @cached_property
     def appearance(self) -> AppearanceFeatures:
         """Colour in channels that change little with the light."""
         return AppearanceFeatures(self.frame.color)
@@ -105,6 +117,12 @@ class PreparedFrame:
         if key not in self._keypoints:
             self._keypoints[key] = _detect(self.gray, max_features, min_contrast)
         return self._keypoints[key]
+
+
+def _with_gradient(image: Float32Array) -> Float32Array:
+    """(H, W) -> (H, W, 3): the image and its gradient along u and v."""
+    gradient = (cv2.Sobel(image, cv2.CV_32F, *axis, scale=1 / 8) for axis in ((1, 0), (0, 1)))
+    return np.asarray(cv2.merge([image, *gradient]), dtype=np.float32)
 
 
 def _detect(gray: UInt8Array, max_features: int, min_contrast: float) -> Keypoints:

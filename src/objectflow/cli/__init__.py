@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from objectflow.errors import ObjectflowError, one_line
+from objectflow.runtime.memory import keep_freed_memory
 
 EXIT_BAD_INPUT = 2
 EXIT_FAILED = 1
@@ -147,6 +148,7 @@ def _dispatch(words: list[str]) -> int:
         if not error.code:
             return 0
         return _fail(f"{_unboxed(parser_error.getvalue())} (see objectflow {words[0]} --help)", EXIT_BAD_INPUT)
+    keep_freed_memory()
     command.run()
     return 0
 

@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, Protocol, TypeVar
 
 from objectflow.errors import DatasetError, ObjectflowError
+from objectflow.runtime.memory import keep_freed_memory
 from objectflow.runtime.parent import end_with_parent
 from objectflow.runtime.threads import shared_environment
 
@@ -160,6 +161,7 @@ def in_order(
 def _work(connection: Connection, factory: Callable[[], Callable[[Any], Any]], parent: int) -> None:
     """Main loop of a worker process: run jobs until the pipe ends."""
     end_with_parent(parent)
+    keep_freed_memory()
     # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     function: Callable[[Any], Any] | None = None

@@ -121,7 +121,8 @@ def matched_motion(views: PairViews, number: int, settings: FollowSettings) -> F
     """
     if views.prev_known is None:
         return None
-    pair = views.pair.at_width(MATCH_WIDTH)
+    # Between two frames, a known object may move too far for optical flow.
+    pair = views.pair.at_width(MATCH_WIDTH).with_features()
     matches, camera = pair.matches, views.pair.prev.frame.camera
     pixels = geometry.project(matches.prev.astype(np.float64), camera)
     height, width = views.prev_known.shape

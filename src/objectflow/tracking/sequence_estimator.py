@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.matching import DEFAULTS as MATCHING
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.methods.base import Estimator, estimate_pair
@@ -120,8 +121,8 @@ class SequenceEstimator:
         if prev is None:
             self._last, self._time = PreparedFrame.of(frame), time
             return None
-        # What the last estimate computed on its current frame is not computed again.
-        pair = FramePair(prev, frame)
+        # What the last estimate computed on its current frame is not computed again, nor are this estimate's matches.
+        pair = FramePair(prev, frame, matching=getattr(self.estimator, "matching", MATCHING))
         found = estimate_pair(self.estimator, pair) if motion is None else motion
         if is_cut(pair, found, self.cuts):
             unknown = unknown_motion(found.labels.shape)

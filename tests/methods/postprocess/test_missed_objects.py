@@ -231,3 +231,26 @@ def test_background_that_a_known_object_hid_costs_less() -> None:
     assert assignment.rival_cost[60, 40] == pytest.approx(settings.hidden_by_known)
     assert not assignment.rival_cost[box].any()
     assert assignment.rival_cost[60, 120] == assignment.background_cost[60, 120] == 0
+
+
+def test_labels_near_the_motions_are_those_of_the_whole_image() -> None:
+    scene = analytic.make_scene(3, objects=(2, 2))
+    numbers = [number for number in sorted(scene.moving) if (scene.labels == number).sum() > 100]
+    motions, masks = [scene.prev_T_curr[number] for number in numbers], [scene.labels == k for k in numbers]
+    found = []
+    for limited in (False, True):
+        assignment = Assignment(
+            FramePair(scene.prev, scene.curr),
+            None,
+            min_pixels=20,
+            likelihood=LikelihoodSettings(),
+            graph=PixelGraphSettings(),
+            settings=AssignmentSettings(),
+        )
+        anchors = [assignment.anchors(mask, motion) for mask, motion in zip(masks, motions, strict=True)]
+        if limited:
+            assignment.limit([assignment.around(points) for points in anchors])
+            assert np.prod(assignment.graph.shape) < 0.9 * scene.labels.size
+        found.append(assignment.assign(motions, anchors, masks, fine=True))
+    assert set(np.unique(found[0])) == {0, *range(1, len(numbers) + 1)}
+    np.testing.assert_array_equal(found[1], found[0])

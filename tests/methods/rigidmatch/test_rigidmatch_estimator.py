@@ -27,6 +27,7 @@ from objectflow.networks.rigidmatch.export_form import ExportableRigidMatch
 from objectflow.networks.rigidmatch.network import PRIOR
 from objectflow.networks.rigidmatch.rigid_solver import solve_motions
 from objectflow.networks.weights import load_network, load_weights, save_weights
+from objectflow.networks.xfeat import XFeat
 
 
 def network() -> RigidMatch:
@@ -287,6 +288,26 @@ def test_the_number_of_queries_and_the_radius_of_seeds_can_be_set(tmp_path: Path
     assert objectflow.load("rigidmatch", weights=path).network.settings == TINY_RIGID
     with pytest.raises(SettingsError, match="queries must be at least 1"):
         objectflow.load("rigidmatch", weights=path, queries=0)
+
+
+def test_a_sequence_computes_the_features_of_each_frame_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "w.safetensors"
+    made = RigidMatch(dataclasses.replace(TINY_RIGID, xfeat="both"), generator=torch.Generator().manual_seed(0)).eval()
+    save_weights(path, made, {"variant": "rigidmatch", "size": [48, 64]})
+    estimator = objectflow.load("rigidmatch", weights=path, camera="static", threshold=0.0)
+    scenes = [analytic.make_scene(seed, width=160, height=120) for seed in (0, 1)]
+    frames = [scenes[0].prev, scenes[0].curr, scenes[1].curr]
+    alone = [estimator(*frames[:2]), estimator(*frames[1:])]
+    calls = []
+    monkeypatch.setattr(
+        XFeat, "forward", lambda self, color, forward=XFeat.forward: calls.append(len(color)) or forward(self, color)
+    )
+    first = FramePair(*frames[:2])
+    sequence = [estimator.estimate(first), estimator.estimate(first.followed_by(frames[2]))]
+    assert calls == [1, 1, 1]
+    for one, other in zip(sequence, alone, strict=True):
+        np.testing.assert_array_equal(one.labels, other.labels)
+        np.testing.assert_array_equal(one.scene_flow, other.scene_flow)
 
 
 def test_a_pair_scaled_by_5_has_the_same_labels_and_5_times_the_translation(tmp_path: Path) -> None:

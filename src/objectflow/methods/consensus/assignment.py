@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -16,6 +17,9 @@ from objectflow.methods.consensus.pixel_graph import PixelGraph, PixelGraphSetti
 from objectflow.methods.consensus.random_walker import RandomWalker
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
+
+_MARGIN = 12
+"""Pixels around boxes that are labelled with them, farther than labels spread along surfaces."""
 
 MovingMask = tuple[Float64Array, BoolMask]
 """`prev_T_curr` of an object and its (H, W) mask."""
@@ -81,8 +85,7 @@ class Assignment:
         self.camera_moved = camera_motion is not None
         self.background = np.eye(4) if camera_motion is None else camera_motion
         self.points, self.valid = pair.curr.points, pair.curr.valid
-        self.graph = PixelGraph(pair.curr, pair.noise, graph)
-        self._walker = RandomWalker(self.graph)
+        self._box, self._graph_settings = EVERYWHERE, graph
         self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self._others: Sequence[MovingMask] = ()
         self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True, light=True)
@@ -90,6 +93,29 @@ class Assignment:
         self.informative = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         depth = pair.curr.frame.depth
         self.reach = settings.reach_slope * float(np.median(depth[self.valid])) + settings.reach_base
+
+    @cached_property
+    def graph(self) -> PixelGraph:
+        """The graph of the pixels that are labelled."""
+        return PixelGraph(self.pair.curr, self.pair.noise, self._graph_settings, self._box)
+
+    @cached_property
+    def _walker(self) -> RandomWalker:
+        return RandomWalker(self.graph)
+
+    def limit(self, boxes: Sequence[Box]) -> None:
+        """Label pixels near these boxes alone, before the first labels: motions claim no pixel elsewhere."""
+        height, width = self.valid.shape
+        ends = [
+            (rows.start - _MARGIN, rows.stop + _MARGIN, columns.start - _MARGIN, columns.stop + _MARGIN)
+            for rows, columns in boxes
+        ]
+        top, bottom, left, right = (
+            int(part(side)) for part, side in zip((min, max) * 2, zip(*ends, strict=True), strict=True)
+        )
+        # The blocks of the random walk start at even pixels.
+        top, left = max(0, top) // 2 * 2, max(0, left) // 2 * 2
+        self._box = slice(top, min(height, bottom)), slice(left, min(width, right))
 
     def exclude(self, mask: BoolMask, others: Sequence[MovingMask]) -> None:
         """Treat the pixels of a mask as background that fits; `others` are moving objects that hid background."""
@@ -178,8 +204,10 @@ class Assignment:
             near = nearness_cost(self.points, points, self.reach, self.settings.max_anchors)
             prior = self.settings.object_prior if priors is None else priors[number]
             costs.append(self.cost(motion, self.around(points)) + near + prior)
-        probability = self._walker.solve(np.stack(costs), fine=fine)
-        return np.asarray(probability.argmax(0), dtype=np.int32)
+        probability = self._walker.solve(np.stack([cost[self._box] for cost in costs]), fine=fine)
+        labels = np.zeros(self.valid.shape, np.int32)
+        labels[self._box] = probability.argmax(0)
+        return labels
 
     def anchors(self, mask: BoolMask, motion: Float64Array) -> Float32Array:
         """(N, 3) points of a mask that its motion explains and the background's does not."""

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
+from objectflow.alignment.likelihood import EVERYWHERE, Box
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import DepthNoise
 from objectflow.geometry.normals import surface_normals
@@ -51,22 +52,24 @@ class PixelGraphSettings(Settings):
 
 
 class PixelGraph:
-    """Edges between neighbouring pixels of a frame; weak across depth steps, creases and colour edges.
+    """Edges between neighbouring pixels of a box of a frame; weak across depth steps, creases and colour edges.
 
     Attributes:
-        shape: (H, W).
+        shape: (H, W) of the box.
         head, tail: (E,) flat indices of the two pixels of each edge.
         step: (E,) bool: a depth step lies between them.
         laplacian: (H W, H W) of the weighted graph.
     """
 
-    def __init__(self, prepared: PreparedFrame, noise: DepthNoise, settings: PixelGraphSettings) -> None:
-        frame, depth = prepared.frame, prepared.frame.depth
+    def __init__(
+        self, prepared: PreparedFrame, noise: DepthNoise, settings: PixelGraphSettings, box: Box = EVERYWHERE
+    ) -> None:
+        frame = prepared.frame
+        normals = surface_normals(cv2.medianBlur(frame.depth, settings.depth_window), frame.camera)[box]
+        color = cv2.GaussianBlur(frame.color, (0, 0), settings.color_blur)[box].astype(np.float32)
+        depth, points = frame.depth[box], prepared.points[box]
         self.shape = depth.shape
         index = np.arange(depth.size).reshape(depth.shape)
-        points = prepared.points
-        normals = surface_normals(cv2.medianBlur(depth, settings.depth_window), frame.camera)
-        color = cv2.GaussianBlur(frame.color, (0, 0), settings.color_blur).astype(np.float32)
         heads, tails, weights, steps = [], [], [], []
         for here, there in (
             ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),

@@ -99,6 +99,7 @@ def _assigned(
     outside = _growth_cost(assignment, settings) + np.where(labels > 0, own.other_object, 0.0)
     priors = [np.where(mask, -own.own_mask, outside).astype(np.float32) for mask in masks]
     anchors = [assignment.anchors(mask, motion) for mask, motion in zip(masks, motions, strict=True)]
+    assignment.limit([assignment.around(points) for points in anchors])
     found = assignment.assign(motions, anchors, masks, fine=True, priors=priors)
     out = np.where(fixed, labels, 0).astype(np.int32)
     for number, (obj, mask) in enumerate(zip(movers, masks, strict=True), start=1):

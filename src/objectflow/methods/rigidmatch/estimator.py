@@ -13,6 +13,7 @@ from torch import Tensor
 
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
+from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import nearest_indices
@@ -72,8 +73,9 @@ class RigidMatchConfig(CompensationConfig):
     """Minimum share of its mask that an object keeps where masks overlap; an object with less is removed."""
     duplicate_iou: float = setting(DUPLICATE_IOU, minimum=0, maximum=1)
     """Minimum intersection over union of the masks of two queries on one object, which are merged; 1 merges none."""
-    matching: MatchSettings = MatchSettings(feature_width=320)
-    """The network finds large displacements, so features of half the size are enough, in a quarter of the time."""
+    matching: MatchSettings = MatchSettings(feature_width=320, sufficient_flow_share=0.5)
+    """The network finds large displacements of objects, so features serve large motions of the camera alone: they are
+    matched where optical flow fails, and at half the size."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
@@ -119,16 +121,25 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             small = [
                 (pairs[k].prev.resized(width, height), pairs[k].curr.resized(width, height)) for k in group.members
             ]
-            output, points = self.predict([one.frame for one, _ in small], [other.frame for _, other in small])
+            output, points = self.predict([one for one, _ in small], [other for _, other in small])
             for place, k in enumerate(group.members):
                 motions[k] = self._finish(pairs[k], select(output, place), points[place : place + 1], group.size)
         return [motions[k] for k in range(len(pairs))]
 
-    def predict(self, prev: Sequence[RgbdFrame], curr: Sequence[RgbdFrame]) -> tuple[RigidMatchOutput, Tensor]:
-        """The network's output on pairs of frames of one size, and the current points (B, 3, H, W) in metres."""
+    def predict(
+        self, prev: Sequence[RgbdFrame | PreparedFrame], curr: Sequence[RgbdFrame | PreparedFrame]
+    ) -> tuple[RigidMatchOutput, Tensor]:
+        """The network's output on pairs of frames of one size, and the current points (B, 3, H, W) in metres.
+
+        XFeat's features are kept with prepared frames, so that a sequence computes them once per frame.
+        """
         device = next(self.network.parameters()).device
+        before, after = ([PreparedFrame.of(frame) for frame in frames] for frames in (prev, curr))
         with torch.inference_mode():
-            (prev_color, prev_points), (curr_color, curr_points) = to_tensors(prev, device), to_tensors(curr, device)
+            (prev_color, prev_points), (curr_color, curr_points) = (
+                to_tensors([one.frame for one in frames], device) for frames in (before, after)
+            )
+            known = self._known_features([*after, *before], [curr_color, prev_color])
             # The network is trained at one median depth; lengths are scaled back.
             factor = depth_factor(curr_points, self.network.settings.median_depth or SCALED_DEPTH)
             if not self.network.settings.median_depth:
@@ -137,9 +148,27 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
                 factor = torch.where((median < low) | (median > high), factor, torch.ones_like(factor))
             wide = factor[:, None, None, None]
             out: RigidMatchOutput = self.network(
-                prev_color, wide * prev_points, curr_color, wide * curr_points, table=False
+                prev_color, wide * prev_points, curr_color, wide * curr_points, table=False, **known
             )
         return out.rescaled(1 / factor), curr_points
+
+    def _known_features(self, frames: Sequence[PreparedFrame], colors: Sequence[Tensor]) -> dict[str, Tensor]:
+        """Arguments of the network: `xfeat`, the features of frames, whose colours are (B, 3, H, W) in all.
+
+        On a CPU, frames are evaluated one at a time, which takes no longer, and features do not depend on the batch.
+        """
+        if self.network.settings.xfeat == "none":
+            return {}
+        key, color = ("xfeat", self.network), torch.cat(list(colors))
+        missing = [k for k, frame in enumerate(frames) if key not in frame.memo]
+        parts = [color[k : k + 1] for k in missing]
+        if parts and color.device.type != "cpu":
+            found = list(self.network.xfeat(torch.cat(parts)).split(1))
+        else:
+            found = [self.network.xfeat(part) for part in parts]
+        for k, features in zip(missing, found, strict=True):
+            frames[k].memo[key] = features
+        return {"xfeat": torch.cat([frame.memo[key] for frame in frames])}
 
     def _finish(self, pair: FramePair, output: RigidMatchOutput, seen: Tensor, size: tuple[int, int]) -> SceneMotion:
         """One pair's output as objects on the pixels of its current frame."""

@@ -104,6 +104,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
+        xfeat: Tensor | None = None,
     ) -> RigidMatchOutput:
         """Predict objects and their motions from the current back to the previous frame.
 
@@ -112,11 +113,12 @@ class RigidMatch(nn.Module):
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
             table: return the table of all pairs' scores and the masks of every layer, which losses need; without it
                 there is no gradient.
+            xfeat: (2 B, 64, h, w) of `self.xfeat` on `curr_color` and `prev_color`, where they are known already.
 
         Returns:
             All predictions, on the grids of images padded to a multiple of the coarsest stride.
         """
-        found = self.forward_features(prev_color, prev_points, curr_color, curr_points, table=table)
+        found = self.forward_features(prev_color, prev_points, curr_color, curr_points, table=table, xfeat=xfeat)
         # 6. The motions that fit the matches.
         rotation, translation = self._motions(found)
         return RigidMatchOutput(
@@ -151,6 +153,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
+        xfeat: Tensor | None = None,
     ) -> Features:
         """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
@@ -167,7 +170,7 @@ class RigidMatch(nn.Module):
         use, descriptors, fine_descriptors = self.settings.xfeat, None, None
         if use != "none":
             image_size = (curr_color.shape[-2], curr_color.shape[-1])
-            features = self.xfeat(torch.cat([curr_color, prev_color]))
+            features = self.xfeat(torch.cat([curr_color, prev_color])) if xfeat is None else xfeat
             fine_descriptors = sample_cells(features, image_size, stride // 2, (2 * size[0], 2 * size[1]))
             if use in ("input", "both"):
                 coarse = coarse + self.xfeat_input(fine_descriptors[..., ::2, ::2])

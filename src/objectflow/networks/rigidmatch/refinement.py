@@ -126,8 +126,9 @@ def update_matches(
     limit = torch.tensor([width - 1, height - 1], device=one.device, dtype=position.dtype).reshape(1, 2, 1, 1)
     center = torch.minimum(position.round().clamp_min(0), limit).long()
     offset = torch.arange(-window, window + 1, device=one.device)
-    column = center[:, 0].flatten(1)[..., None] + offset.repeat(side)
-    row = center[:, 1].flatten(1)[..., None] + offset.repeat_interleave(side)
+    steps = torch.stack([offset.repeat(side), offset.repeat_interleave(side)], dim=1)
+    column = center[:, 0].flatten(1)[..., None] + steps[:, 0]
+    row = center[:, 1].flatten(1)[..., None] + steps[:, 1]
     inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     index = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
     start = torch.arange(batch, device=one.device)[:, None, None] * (height * width)
@@ -142,6 +143,6 @@ def update_matches(
     logits = torch.where(inside & (valid[..., 0] > 0.5), logits, _BARRED)
     share = logits.softmax(dim=-1)
     point = as_map((share[..., None, :] @ points)[..., 0, :], (height, width))
-    moved = torch.stack([(share * column).sum(-1), (share * row).sum(-1)], dim=1).reshape(batch, 2, height, width)
+    moved = center + as_map(share @ steps.to(share), (height, width))
     peak = share.amax(dim=-1).reshape(batch, 1, height, width)
     return as_map(logits, (height, width)), center, moved, point, peak

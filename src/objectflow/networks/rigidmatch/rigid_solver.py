@@ -55,5 +55,8 @@ def agreement(rotation: Tensor, translation: Tensor, curr: Tensor, prev: Tensor,
     Returns:
         (B, Q, N) in 0..1.
     """
-    moved = torch.einsum("bqij,bnj->bqni", rotation, curr) + translation[:, :, None]
-    return scale**2 / (scale**2 + (moved - prev[:, None]).square().sum(-1))
+    # Coordinates come before points, so that all arithmetic runs along long rows.
+    turned = rotation.flatten(1, 2) @ curr.transpose(-2, -1)
+    off = turned.reshape(*rotation.shape[:3], -1).add_(translation[..., None]).sub_(prev.transpose(-2, -1)[:, None])
+    square = off.square_().sum(2)
+    return scale**2 / (scale**2 + square)
