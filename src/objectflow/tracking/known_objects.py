@@ -12,6 +12,7 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
+from objectflow.tracking.fine_step import NeighbourFrame, fine_step
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.model_evidence import ModelEvidence
@@ -24,7 +25,7 @@ from objectflow.tracking.model_motion import (
     model_motion,
 )
 from objectflow.tracking.parts import resting_part
-from objectflow.tracking.surface_model import SurfaceModel
+from objectflow.tracking.surface_model import SurfaceModel, new_model
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
@@ -35,11 +36,16 @@ class KnownObjects:
     Attributes:
         settings: thresholds.
         objects: by the id of the track.
+        found: id of each object that became known in the latest frame, and the id of the object of which it was a
+            part until then, 0 for none.
+        rested: ids of the objects that came to rest in the latest frame.
     """
 
     def __init__(self, settings: KnownSettings | None = None) -> None:
         self.settings = settings or KnownSettings()
         self.objects: dict[int, KnownObject] = {}
+        self.found: dict[int, int] = {}
+        self.rested: set[int] = set()
         self._searches = 0
 
     def view(self, frame: PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> FrameView:
@@ -98,6 +104,14 @@ class KnownObjects:
             seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
             dropped = known.present - fit.present >= self.settings.follow.min_drop
             if seen and fit.present >= self.settings.follow.max_rest and not dropped:
+                if known.moved:
+                    starts = self._starts(views, number, motion, tracker, rest)
+                    neighbour = NeighbourFrame(views.prev, views.prev_T_curr)
+                    fine = fine_step(views.curr, neighbour, known.model, rest, starts, self.settings.earlier)
+                    if fine is not None and fine.moved:
+                        pose = tracker.world_T_camera[-1] @ fine.camera_T_object
+                        tracker.follow(number, prev_time, time, pose, fine.present)
+                        followed.append(number)
                 continue
             found = None
             # A model that fits as badly as in the last frame is inexact or half hidden, and does not move.
@@ -200,6 +214,7 @@ class KnownObjects:
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
         """
+        self.found, self.rested = {}, set()
         if not tracker.world_T_camera:  # the camera is lost
             self.objects = {}
             return np.zeros(shape, np.int32)
@@ -224,6 +239,7 @@ class KnownObjects:
                 fit = view.fit(known.model, curr_T_world @ known.world_T_object)
                 known.model.count(fit.fits, fit.missing)
             elif self.objects[number].moved:
+                self.rested.add(number)
                 self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
             if number not in self.objects:
                 continue
@@ -270,6 +286,7 @@ class KnownObjects:
         points = geometry.transform(known.world_T_object, part.points)
         track = tracker.split(number, points, part.colors)
         self.objects[track.id] = KnownObject(part, known.world_T_object, moved=False)
+        self.found[track.id] = number
         self.objects[track.id].looks.add(view.frame, shown, rest, settings.looks)
 
     def _move(
@@ -285,16 +302,15 @@ class KnownObjects:
         if known is None:
             if (mask & view.frame.valid).sum() < self.settings.min_pixels:
                 return
-            depth = float(np.median(view.frame.frame.depth[mask & view.frame.valid]))
-            # Two pixels: at one, noise would spread a surface over several voxels.
-            model = SurfaceModel(2 * depth / view.frame.frame.camera.fx, self.settings.max_points)
+            model = new_model(view.frame, mask, curr_T_world @ poses[-1], self.settings.max_points)
             known = self.objects[number] = KnownObject(model, poses[-1])
+            self.found[number] = 0
         else:
             poses[-1] = self._registered(known.model, poses[-1], view, curr_T_world)
             fit = view.fit(known.model, curr_T_world @ poses[-1])
             known.model.count(fit.fits, fit.missing)
+            known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
         known.world_T_object, known.moved = poses[-1], True
-        known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
         known.looks.add(view.frame, mask, curr_T_world @ poses[-1], self.settings.follow.looks)
 
     def _rest(

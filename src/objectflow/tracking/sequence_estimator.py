@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,10 @@ from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.longer_gap import LongerEstimate, LongerGaps, add_found
+from objectflow.tracking.look_back import add_earlier_masks, add_earlier_poses
 from objectflow.tracking.model_motion import PairViews
+from objectflow.tracking.recent_frames import RecentFrame, RecentViews, revised_frames
 from objectflow.tracking.running_noise import RunningNoise
 from objectflow.tracking.scene_cut import CutSettings, is_cut
 from objectflow.tracking.track import Track
@@ -39,6 +42,10 @@ class SequenceStep:
         known: (H, W) int32 label image of every object that has moved up to now, by track id, also at rest and half
             hidden; 0 elsewhere.
         followed: track ids of the objects that moved although `motion` lacks them, as their models show.
+        revised: `known` of earlier frames, by their times, in which objects were found later: an object that moved
+            for the first time is followed back, and one that comes apart is two objects in earlier frames too.
+        longer: an estimate between this frame and one before `prev`, where something changed that `motion` and the
+            known objects do not explain; None in most steps.
     """
 
     prev: RgbdFrame
@@ -48,6 +55,16 @@ class SequenceStep:
     tracks: Mapping[int, int]
     known: LabelImage
     followed: tuple[int, ...] = ()
+    revised: Mapping[float, LabelImage] = field(default_factory=dict)
+    longer: LongerEstimate | None = None
+
+
+class _Found(NamedTuple):
+    """What the recent frames show: their revised masks, an estimate from one of them, and the objects it moved."""
+
+    revised: Mapping[float, LabelImage]
+    longer: LongerEstimate | None
+    followed: tuple[int, ...]
 
 
 class SequenceEstimator:
@@ -88,6 +105,8 @@ class SequenceEstimator:
         self.segmentation: LabelImage | None = None
         self._last: PreparedFrame | None = None
         self._time = 0.0
+        self._recent: tuple[RecentFrame, ...] = ()
+        self._longer_gaps = LongerGaps(self.known_objects.settings.longer_gap)
 
     @property
     def tracks(self) -> list[Track]:
@@ -95,7 +114,11 @@ class SequenceEstimator:
         return self.tracker.tracks
 
     def update(
-        self, frame: RgbdFrame, time: float | None = None, motion: SceneMotion | None = None
+        self,
+        frame: RgbdFrame,
+        time: float | None = None,
+        motion: SceneMotion | None = None,
+        longer: LongerEstimate | None = None,
     ) -> SequenceStep | None:
         """Add the next frame.
 
@@ -105,6 +128,7 @@ class SequenceEstimator:
                 frame where it has none.
             motion: between the last frame and this one, where it is known already, as from an earlier run; None
                 estimates it.
+            longer: `SequenceStep.longer` of this frame, where it is known already.
 
         Returns:
             The result, or None for the first frame of a sequence.
@@ -119,6 +143,7 @@ class SequenceEstimator:
         prev, prev_time = self._last, self._time
         if prev is None:
             self._last, self._time = PreparedFrame.of(frame), time
+            self._remember(frame, time, np.zeros(frame.depth.shape, np.int32))
             return None
         # What the last estimate computed on its current frame is not computed again.
         pair = FramePair(prev, frame)
@@ -139,8 +164,11 @@ class SequenceEstimator:
         views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
         followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
         known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)
+        back = self._look_back(views, found, known, time, longer)
         self._last, self._time, self.segmentation = pair.curr, time, known
-        return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known, followed)
+        self._remember(frame, time, known)
+        times, followed = (prev_time, time), (*followed, *back.followed)
+        return SequenceStep(prev.frame, frame, times, found, tracks, known, followed, back.revised, back.longer)
 
     def cut(self) -> None:
         """Start a new world, as after a cut: the next frame is a first one, and objects get new ids.
@@ -150,6 +178,7 @@ class SequenceEstimator:
         self.tracker.reset()
         self.known_objects.objects = {}
         self._last = self.segmentation = None
+        self._recent = ()
 
     def state(self) -> dict[str, Any]:
         """Everything that later results depend on but the estimator; it can be pickled."""
@@ -159,6 +188,8 @@ class SequenceEstimator:
             "known_objects": self.known_objects,
             "noise": self.noise,
             "last": last,
+            "recent": self._recent,
+            "longer_gaps": self._longer_gaps,
             "time": self._time,
             "segmentation": self.segmentation,
         }
@@ -168,4 +199,48 @@ class SequenceEstimator:
         self.tracker, self.known_objects = state["tracker"], state["known_objects"]
         self.noise = state["noise"]
         self._last = None if state["last"] is None else PreparedFrame(state["last"])
+        self._recent, self._longer_gaps = state["recent"], state["longer_gaps"]
         self._time, self.segmentation = state["time"], state["segmentation"]
+
+    def _look_back(
+        self, views: PairViews, motion: SceneMotion, known: LabelImage, time: float, given: LongerEstimate | None
+    ) -> _Found:
+        """Search the recent frames for objects that have just been found, and objects in them.
+
+        Args:
+            views: the latest pair.
+            motion: its estimate.
+            known: (H, W) int32, to which the masks of found objects are added.
+            time: of the current frame.
+            given: the estimate between frames farther apart of an earlier run.
+        """
+        if not self.tracker.world_T_camera:  # the camera is lost
+            self._recent = ()
+            return _Found({}, None, ())
+        settings, objects = self.known_objects.settings, self.known_objects
+        recent = RecentViews(self._recent, settings, views.curr.noise, views.prev)
+        tracks = {track.id: track for track in self.tracks}
+        for number, whole in objects.found.items():
+            if not whole:
+                add_earlier_poses(tracks[number], recent, settings.earlier)
+            add_earlier_masks(tracks[number], whole, recent, settings.earlier)
+        for number in sorted(objects.rested - set(objects.found)):
+            # The model has grown since the object was found.
+            add_earlier_masks(tracks[number], 0, recent, settings.earlier)
+        moving = np.isin(motion.labels, [obj.id for obj in motion.objects if obj.moving])
+        world_T_camera = self.tracker.world_T_camera[-1]
+        longer = self._longer_gaps.estimate(self.estimator, views, recent, (known > 0) | moving, world_T_camera, given)
+        added: tuple[int, ...] = ()
+        if longer is not None:
+            added = add_found(longer, objects, self.tracker, views, recent, known, time)
+            for track in self.tracks:
+                if track.id in added:
+                    add_earlier_masks(track, 0, recent, settings.earlier)
+        self._recent = revised_frames(self._recent, recent.revised)
+        return _Found(recent.revised, longer, tuple(n for n in added if objects.objects[n].moved))
+
+    def _remember(self, frame: RgbdFrame, time: float, known: LabelImage) -> None:
+        """Keep a frame for those in which an object may be found later."""
+        world_T_camera = self.tracker.world_T_camera[-1] if self.tracker.world_T_camera else np.eye(4)
+        recent = (*self._recent, RecentFrame(frame, time, world_T_camera, known))
+        self._recent = recent[-self.known_objects.settings.earlier.frames :]

@@ -174,6 +174,22 @@ class SurfaceModel:
         return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
 
 
+def new_model(frame: PreparedFrame, mask: BoolMask, camera_T_object: Float64Array, max_points: int) -> SurfaceModel:
+    """A model of the surface in a mask, with voxels that suit its distance.
+
+    Args:
+        frame: provides points, normals and colours.
+        mask: (H, W) bool, with depth at one pixel at least.
+        camera_T_object: (4, 4) the object's pose.
+        max_points: maximum number of voxels.
+    """
+    depth = float(np.median(frame.frame.depth[mask & frame.valid]))
+    # Two pixels: at one, noise would spread a surface over several voxels.
+    model = SurfaceModel(2 * depth / frame.frame.camera.fx, max_points)
+    model.integrate(frame, mask, camera_T_object)
+    return model
+
+
 def _splat(
     points: Float64Array,
     normals: Float64Array,

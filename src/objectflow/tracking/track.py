@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,6 +49,19 @@ class Track:
         """Mean score of the steps in which the object was seen to move, 0..1; a gap counts as 0."""
         seen = [score for label, score in zip(self.labels, self.scores, strict=True) if label]
         return float(sum(seen) / max(1, len(seen) + len(self.gaps)))
+
+    def prepend(self, times: Sequence[float], world_T_object: Sequence[Float64Array], scores: Sequence[float]) -> None:
+        """Add poses before the first one, which only the model shows.
+
+        Args:
+            times: rising, before the first time of the track.
+            world_T_object: (4, 4) at each time.
+            scores: of each pose.
+        """
+        self.times[:0] = times
+        self.world_T_object[:0] = world_T_object
+        self.labels[:0] = [0] * len(times)
+        self.scores[:0] = scores
 
     def points(
         self,

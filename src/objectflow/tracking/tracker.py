@@ -6,7 +6,7 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,9 +20,9 @@ from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import Settings, setting
 from objectflow.tracking.evidence import Evidence
-from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
+from objectflow.tracking.seen_surface import SeenSurface, color_histogram, footprint_overlap, seen_surface
 from objectflow.tracking.track import Track
-from objectflow.typing import Float64Array
+from objectflow.typing import Float64Array, UInt8Array
 
 
 @dataclass(frozen=True)
@@ -194,14 +194,35 @@ class Tracker:
         """
         whole = self._tracks[number]
         count = len(whole.times) - 1
-        labels = [0] * count
-        track = Track(self._next, whole.times[:count], whole.world_T_object[:count], labels, whole.scores[:count])
-        track.world_T_camera = whole.world_T_camera
+        track = self.start(whole.times[:count], whole.world_T_object[:count], whole.scores[:count], points, colors)
+        self._states[track.id].world_step, self._states[track.id].age = np.eye(4), 1
+        return track
+
+    def start(
+        self,
+        times: Sequence[float],
+        world_T_object: Sequence[Float64Array],
+        scores: Sequence[float],
+        points: Float64Array,
+        colors: Float64Array | UInt8Array,
+    ) -> Track:
+        """A new track of an object that the estimate of the latest pair lacks.
+
+        Args:
+            times: rising, two at least.
+            world_T_object: (4, 4) at each time.
+            scores: of each pose, 0..1.
+            points: (N, 3) metres in the world: its surface at the last time.
+            colors: (N, 3) its colours, RGB, 0..255.
+        """
+        track = Track(self._next, list(times), list(world_T_object), [0] * len(times), list(scores))
+        track.world_T_camera = self.world_T_camera[-1]
         self._tracks[track.id] = track
         self._next += 1
         pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
         histogram = color_histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
-        self._states[track.id] = _LastState(points[pick], histogram, np.eye(4), 1)
+        step = world_T_object[-1] @ geometry.inverse(world_T_object[-2]) if len(times) > 1 else np.eye(4)
+        self._states[track.id] = _LastState(points[pick], histogram, step)
         return track
 
     def keep(self, numbers: Iterable[int]) -> None:
@@ -367,20 +388,3 @@ def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64
     if not motion.camera_known:
         return None
     return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion
-
-
-def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:
-    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into.
-
-    Args:
-        a, b: the point sets.
-        camera: projects them.
-        cells: number of cells across the image width.
-    """
-    cell = camera.width / cells
-    footprints = []
-    for points in (a, b):
-        pixels = geometry.project(points[points[:, 2] > 0], camera)
-        footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
-    union = len(footprints[0] | footprints[1])
-    return len(footprints[0] & footprints[1]) / union if union else 0.0
