@@ -220,6 +220,7 @@ def _track(values: dict[str, Any]) -> Track:
         [int(label) for label in values["labels"]],
         [float(score) for score in values["scores"]],
         [float(time) for time in values["gaps"]],
+        merged=[int(number) for number in values.get("merged", ())],
     )
     lengths = {len(track.times), len(track.world_T_object), len(track.labels), len(track.scores)}
     if len(lengths) > 1:

@@ -15,7 +15,7 @@ from objectflow.motion import SceneMotion
 from objectflow.tracking.fine_step import NeighbourFrame, fine_step
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.model_evidence import ModelEvidence
+from objectflow.tracking.model_evidence import ModelEvidence, starts_in_mask
 from objectflow.tracking.model_fit import FrameView
 from objectflow.tracking.model_motion import (
     ModelPose,
@@ -121,7 +121,7 @@ class KnownObjects:
             if found is None:
                 if not seen or fit.present < self.settings.min_present:
                     lost.append(number)
-            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, curr_T_world):
+            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, tracker):
                 tracker.follow(
                     number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
                 )
@@ -130,7 +130,7 @@ class KnownObjects:
         self._searches += 1
         for number in sorted(lost, key=lambda number: (self.objects[number].searched, number))[:1]:
             self.objects[number].searched = self._searches
-            found = self._search(views.curr, number, motion, tracks, curr_T_world)
+            found = self._search(views.curr, number, motion, tracks, tracker)
             if found is not None:
                 tracker.follow(
                     number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
@@ -158,16 +158,16 @@ class KnownObjects:
         number: int,
         motion: SceneMotion,
         tracks: Mapping[int, int],
-        curr_T_world: Float64Array,
+        tracker: Tracker,
     ) -> ModelPose | None:
         """The pose at which a lost object is found again by its looks, confirmed by its model."""
         known, settings = self.objects[number], self.settings.follow
         start = known.looks.find(view.frame, view.noise, settings.looks)
         found = None if start is None else best_pose(view, known.model, [start], settings)
-        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, curr_T_world):
+        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, tracker):
             return None
         center = known.model.points.mean(axis=0)
-        place = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
+        place = geometry.transform(tracker.world_T_camera[-1] @ found.curr_T_object, center)
         twin = known.twin is not None and np.linalg.norm(place - known.twin) < settings.twin_distance
         return None if twin else found
 
@@ -178,16 +178,47 @@ class KnownObjects:
         curr_T_object: Float64Array,
         motion: SceneMotion,
         tracks: Mapping[int, int],
-        curr_T_world: Float64Array,
+        tracker: Tracker,
     ) -> bool:
-        """Whether most of the surface at the new pose of an object belongs to other known objects."""
+        """Whether most of the surface at the new pose of an object belongs to other objects."""
         mask, _ = view.mask(self.objects[number].model, curr_T_object)
         labels = resize_nearest(motion.labels, mask.shape)
-        claimed = np.isin(labels, list(tracks))
+        # A mask of the estimate may contain several known objects, which only their models tell apart.
+        claimed = np.isin(labels, [label for label, track in tracks.items() if track not in self.objects])
+        moved = {track.id: track.world_T_object[-1] for track in tracker.tracks if track.id in tracks.values()}
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         for other, known in self.objects.items():
-            if other != number and other not in tracks.values():
-                claimed |= view.mask(known.model, curr_T_world @ known.world_T_object)[0]
+            if other != number:
+                pose = moved.get(other, known.world_T_object)
+                claimed |= view.mask(known.model, curr_T_world @ pose)[0]
         return bool((mask & claimed).sum() > self.settings.follow.max_claimed * max(1, mask.sum()))
+
+    def _separated(
+        self,
+        masks: Mapping[int, BoolMask],
+        followed: Collection[int],
+        poses: Mapping[int, Float64Array],
+        view: FrameView,
+    ) -> dict[int, BoolMask]:
+        """Masks of an estimate without the surface of objects that were followed by their models.
+
+        Args:
+            masks: (H, W) bool by track id.
+            followed: track ids.
+            poses: (4, 4) `curr_T_object` by track id.
+            view: the current frame.
+        """
+        taken = np.zeros(view.frame.frame.depth.shape, bool)
+        for number in followed:
+            taken |= view.mask(self.objects[number].model, poses[number])[0]
+        if not taken.any():
+            return dict(masks)
+        out = {}
+        for number, mask in masks.items():
+            known = self.objects.get(number)
+            own = taken & False if known is None else view.mask(known.model, poses[number])[0]
+            out[number] = mask & (own | ~taken)
+        return out
 
     def update(
         self,
@@ -221,12 +252,17 @@ class KnownObjects:
         curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))
-        masks = {track: labels == label for label, track in tracks.items()}
+        masks = {
+            track: np.isin(labels, [label for label, other in tracks.items() if other == track])
+            for track in set(tracks.values())
+        }
         alive = {track.id for track in tracker.tracks}
         self.objects = {number: known for number, known in self.objects.items() if number in alive}
         for number in sorted(set(masks) & set(self.objects)):
             self._split(number, masks[number], view, tracker)
         by_id = {track.id: track for track in tracker.tracks}
+        poses = {number: curr_T_world @ by_id[number].world_T_object[-1] for number in (*masks, *followed)}
+        masks = self._separated(masks, followed, poses, view)
         regions: dict[int, BoolMask] = {}
         depths: dict[int, np.ndarray] = {}
         for number in sorted({*self.objects, *masks}):
@@ -306,8 +342,18 @@ class KnownObjects:
             known = self.objects[number] = KnownObject(model, poses[-1])
             self.found[number] = 0
         else:
+            step = poses[-1] @ geometry.inverse(poses[-2]) if len(poses) > 1 else np.eye(4)
             poses[-1] = self._registered(known.model, poses[-1], view, curr_T_world)
             fit = view.fit(known.model, curr_T_world @ poses[-1])
+            if known.present < self.settings.min_present and fit.present < self.settings.min_present:
+                # The object was lost, so that its motion did not begin at its last pose.
+                starts = starts_in_mask(view, known, mask, curr_T_world @ poses[-1], self.settings)
+                found = best_pose(view, known.model, starts, self.settings.follow)
+                if found is not None and found.present >= fit.present + self.settings.follow.min_gain:
+                    poses[-1] = geometry.inverse(curr_T_world) @ found.curr_T_object
+                    if len(poses) > 1:
+                        poses[-2] = geometry.inverse(step) @ poses[-1]
+                    fit = view.fit(known.model, found.curr_T_object)
             known.model.count(fit.fits, fit.missing)
             known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
         known.world_T_object, known.moved = poses[-1], True

@@ -133,7 +133,8 @@ def add_found(
         The track ids of the added objects.
     """
     settings, gap = known_objects.settings, known_objects.settings.longer_gap
-    world_T_older = next(frame.world_T_camera for frame in recent.frames if frame.time == longer.prev_time)
+    number = next(k for k, frame in enumerate(recent.frames) if frame.time == longer.prev_time)
+    world_T_older = recent.frames[number].world_T_camera
     world_T_curr = tracker.world_T_camera[-1]
     added = []
     for obj in longer.motion.objects:
@@ -154,9 +155,10 @@ def add_found(
         poses = earlier_poses(
             model, recent, len(recent.frames) - 1, (views.curr, world_T_curr), [pose], settings.earlier, [start]
         )
-        if not poses or displacement(model, poses[-1].world_T_object, start) > gap.max_deviation * displacement(
-            model, pose, start
-        ):
+        if not poses:
+            continue
+        there = next((one for one in poses if one.number == number), poses[-1]).world_T_object
+        if displacement(model, there, start) > gap.max_deviation * displacement(model, pose, start):
             continue
         track = tracker.start(
             [*(recent.frames[one.number].time for one in poses[::-1]), time],

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import DepthNoise
@@ -76,6 +78,13 @@ class RecentViews:
         known = self.known(number).copy()
         known[mask & ((known == 0) | (known == whole))] = track
         self.revised[self.frames[number].time] = known
+
+    def rename(self, number: int, to: int) -> None:
+        """Give the masks of an object another id, since it is a piece of that object."""
+        for place, frame in enumerate(self.frames):
+            known = self.known(place)
+            if (known == number).any():
+                self.revised[frame.time] = np.where(known == number, np.int32(to), known)
 
 
 def revised_frames(frames: tuple[RecentFrame, ...], revised: Mapping[float, LabelImage]) -> tuple[RecentFrame, ...]:

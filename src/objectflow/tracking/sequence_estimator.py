@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.longer_gap import LongerEstimate, LongerGaps, add_found
 from objectflow.tracking.look_back import add_earlier_masks, add_earlier_poses
+from objectflow.tracking.merge_objects import MovedTogether, merge_into
 from objectflow.tracking.model_motion import PairViews
 from objectflow.tracking.recent_frames import RecentFrame, RecentViews, revised_frames
 from objectflow.tracking.running_noise import RunningNoise
@@ -60,11 +61,19 @@ class SequenceStep:
 
 
 class _Found(NamedTuple):
-    """What the recent frames show: their revised masks, an estimate from one of them, and the objects it moved."""
+    """What the recent frames show.
+
+    Attributes:
+        revised: their masks of known objects, by time, where these have changed.
+        longer: an estimate from one of them to the current frame.
+        moved: track ids of all objects that moved in the latest pair.
+        pieces: the id of each object that is a piece of an older one, and the id of that one.
+    """
 
     revised: Mapping[float, LabelImage]
     longer: LongerEstimate | None
-    followed: tuple[int, ...]
+    moved: frozenset[int]
+    pieces: Mapping[int, int]
 
 
 class SequenceEstimator:
@@ -107,6 +116,7 @@ class SequenceEstimator:
         self._time = 0.0
         self._recent: tuple[RecentFrame, ...] = ()
         self._longer_gaps = LongerGaps(self.known_objects.settings.longer_gap)
+        self._together = MovedTogether(self.known_objects.settings.merge)
 
     @property
     def tracks(self) -> list[Track]:
@@ -164,10 +174,12 @@ class SequenceEstimator:
         views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
         followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
         known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)
-        back = self._look_back(views, found, known, time, longer)
+        back = self._look_back(views, found, known, time, longer, {*tracks.values(), *followed})
+        followed = tuple(sorted(back.moved - set(tracks.values())))
+        tracks = {label: back.pieces.get(number, number) for label, number in tracks.items()}
         self._last, self._time, self.segmentation = pair.curr, time, known
         self._remember(frame, time, known)
-        times, followed = (prev_time, time), (*followed, *back.followed)
+        times = prev_time, time
         return SequenceStep(prev.frame, frame, times, found, tracks, known, followed, back.revised, back.longer)
 
     def cut(self) -> None:
@@ -190,6 +202,7 @@ class SequenceEstimator:
             "last": last,
             "recent": self._recent,
             "longer_gaps": self._longer_gaps,
+            "together": self._together,
             "time": self._time,
             "segmentation": self.segmentation,
         }
@@ -200,12 +213,19 @@ class SequenceEstimator:
         self.noise = state["noise"]
         self._last = None if state["last"] is None else PreparedFrame(state["last"])
         self._recent, self._longer_gaps = state["recent"], state["longer_gaps"]
+        self._together = state["together"]
         self._time, self.segmentation = state["time"], state["segmentation"]
 
     def _look_back(
-        self, views: PairViews, motion: SceneMotion, known: LabelImage, time: float, given: LongerEstimate | None
+        self,
+        views: PairViews,
+        motion: SceneMotion,
+        known: LabelImage,
+        time: float,
+        given: LongerEstimate | None,
+        moved: Collection[int],
     ) -> _Found:
-        """Search the recent frames for objects that have just been found, and objects in them.
+        """Search the recent frames for objects that have just been found, and for others; unite pieces of one.
 
         Args:
             views: the latest pair.
@@ -213,10 +233,11 @@ class SequenceEstimator:
             known: (H, W) int32, to which the masks of found objects are added.
             time: of the current frame.
             given: the estimate between frames farther apart of an earlier run.
+            moved: track ids of the objects that moved in the pair.
         """
         if not self.tracker.world_T_camera:  # the camera is lost
             self._recent = ()
-            return _Found({}, None, ())
+            return _Found({}, None, frozenset(), {})
         settings, objects = self.known_objects.settings, self.known_objects
         recent = RecentViews(self._recent, settings, views.curr.noise, views.prev)
         tracks = {track.id: track for track in self.tracks}
@@ -236,8 +257,15 @@ class SequenceEstimator:
             for track in self.tracks:
                 if track.id in added:
                     add_earlier_masks(track, 0, recent, settings.earlier)
+        moved = {*moved, *(number for number in added if objects.objects[number].moved)}
+        pieces = self._together.update(objects.objects, moved)
+        for piece, older in pieces.items():
+            merge_into(objects.objects[older], objects.objects.pop(piece), settings.follow.looks.max_features)
+            self.tracker.merge(piece, older)
+            known[known == piece] = older
+            recent.rename(piece, older)
         self._recent = revised_frames(self._recent, recent.revised)
-        return _Found(recent.revised, longer, tuple(n for n in added if objects.objects[n].moved))
+        return _Found(recent.revised, longer, frozenset(moved - set(pieces)), pieces)
 
     def _remember(self, frame: RgbdFrame, time: float, known: LabelImage) -> None:
         """Keep a frame for those in which an object may be found later."""

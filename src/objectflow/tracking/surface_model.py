@@ -79,6 +79,18 @@ class SurfaceModel:
         )
         self._add(values, np.tile([1.0, 0.0, 0.0], (len(values), 1)))
 
+    def add(self, other: SurfaceModel, own_T_other: Float64Array) -> None:
+        """Add the voxels of another model.
+
+        Args:
+            other: the model.
+            own_T_other: (4, 4) from its frame to that of this one.
+        """
+        counts = other._counts[:, :1]
+        points = geometry.transform(own_T_other, other.points) * counts
+        normals = other._sums[:, _NORMAL] @ own_T_other[:3, :3].T
+        self._add(np.concatenate([points, normals, other._sums[:, _COLOR]], axis=1), other._counts)
+
     def count(self, kept: BoolMask, missed: BoolMask) -> None:
         """Count which voxels moved with the object, and remove those that were missed more often than kept.
 

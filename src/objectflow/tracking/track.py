@@ -33,6 +33,7 @@ class Track:
         gaps: times at which the object was seen to move, but with a score too low for a pose.
         model: the accumulated surface in the object frame, which a `SequenceEstimator` fuses; otherwise None.
         world_T_camera: (4, 4) the camera in the latest frame of the track's world.
+        merged: ids of tracks that ended because their objects are pieces of this one.
     """
 
     id: int
@@ -43,6 +44,7 @@ class Track:
     gaps: list[float] = field(default_factory=list)
     model: SurfaceModel | None = None
     world_T_camera: Float64Array = field(default_factory=lambda: np.eye(4))
+    merged: list[int] = field(default_factory=list)
 
     @property
     def confidence(self) -> float:
