@@ -49,7 +49,7 @@ class RunTracks:
         # Frame numbers serve as times where the source has none.
         known = {index: time for index, time in times.items() if time is not None}
         self._times = known if len(known) == len(times) else {index: float(index) for index in times}
-        self._indices = {time: index for index, time in self._times.items()}
+        self._indices: dict[float, int] = {}
         gaps = [known[b] - known[a] for part in parts for a, b in itertools.pairwise(part) if len(known) == len(times)]
         self.frame_rate = FRAME_RATE
         if gaps:
@@ -77,9 +77,11 @@ class RunTracks:
         """
         if prev_index != self._last:
             self.sequence.cut()
+            self._indices = {self._times[prev_index]: prev_index}  # times may repeat after a cut
             self.sequence.update(self._source[prev_index], self._times[prev_index])
         self._last = curr_index
         self._recent.append(curr_index)
+        self._indices[self._times[curr_index]] = curr_index
         given = None if longer is None else LongerEstimate(self._times[longer[0]], longer[1])
         step = self.sequence.update(curr, self._times[curr_index], motion, given)
         if step is None:
@@ -117,7 +119,7 @@ class RunTracks:
         return [(index, self._revised.pop(index)) for index in final]
 
     def index_at(self, time: float) -> int:
-        """The frame number at a time of the tracks."""
+        """The frame number at a time since the last cut."""
         return self._indices[time]
 
     def frames(self, step: SequenceStep, prev_index: int, curr_index: int) -> tuple[ViewerFrame, ViewerFrame]:
