@@ -284,11 +284,12 @@ def add_completed(
     """Count the steps that are followed at the end of a sequence, at once or later.
 
     A step that was followed later has different poses of one track in both frames, and the known mask of that track
-    covers the object.
+    covers the object. Tracks that were merged are one.
     """
     last: dict[int, int] = {}
+    whole = {piece: track.id for track in tracks for piece in track.merged}
     for step in moving:
-        track_id = step.track
+        track_id = step.track if step.track is None else whole.get(step.track, step.track)
         for track in tracks if track_id is None else ():
             if set(step.times) <= set(track.times):
                 prev, curr = (track.world_T_object[track.times.index(time)] for time in step.times)

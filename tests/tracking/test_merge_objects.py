@@ -22,8 +22,8 @@ def test_two_pieces_that_always_move_as_one_become_one_with_the_older_id() -> No
     (track,) = sequence.tracks
     assert (track.id, track.merged) == (1, [2])
     merged = next(number for number, step in enumerate(steps, start=1) if set(step.tracks.values()) == {1})
-    # The first step makes both known; five more are needed.
-    assert merged == 6
+    # The first step makes both known; three more are needed.
+    assert merged == 4
     assert set(steps[merged - 1].revised) == set(range(merged))
     for number, step in enumerate(steps, start=1):
         both = (scene.labels[number] == 1) | (scene.labels[number] == 3)

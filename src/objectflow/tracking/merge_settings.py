@@ -11,7 +11,7 @@ from objectflow.settings import Settings, setting
 class MergeSettings(Settings):
     """When two known objects are pieces of one."""
 
-    min_steps: int = setting(5, minimum=1)
+    min_steps: int = setting(3, minimum=1)
     """Minimum number of steps of both, in all of which their relative pose was constant. Objects that are pushed or
     carried together separate again within a few frames."""
     min_step: float = setting(0.005, above=0)
