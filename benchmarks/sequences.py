@@ -127,7 +127,8 @@ class Score(FollowedSteps):
         covered: share of each modelled object's seen surface within `NEAR` of its mesh.
         moved, modelled: number of objects that moved, and of those with a model.
         pairs: number of pairs.
-        estimating, following: CPU seconds of the method, and of everything else but the models' fusion.
+        estimating, following: CPU seconds of the method in consecutive frames, and of everything else but the models'
+            fusion: the method between frames farther apart belongs to the latter.
         completed, completed_switches: `tracked` and `switches` after the end of each sequence, when objects have been
             followed back.
     """
@@ -217,7 +218,8 @@ def add_sequence(
     def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         began = time.process_time()
         found = estimate_between(numbers[id(prev)], numbers[id(curr)])
-        score.estimating += time.process_time() - began
+        if numbers[id(curr)] == numbers[id(prev)] + 1:
+            score.estimating += time.process_time() - began
         return found
 
     sequence = SequenceEstimator(estimate)
