@@ -18,6 +18,7 @@ from objectflow.tracking.earlier_steps import earlier_poses
 from objectflow.tracking.fine_step import displacement
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_objects import KnownObjects
+from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.longer_gap_settings import LongerGapSettings
 from objectflow.tracking.model_motion import PairViews
 from objectflow.tracking.recent_frames import RecentViews
@@ -147,6 +148,15 @@ def add_found(
         inside = own & views.curr.frame.valid
         if inside.sum() < settings.min_pixels:
             continue
+        step = world_T_curr @ geometry.inverse(world_T_older @ obj.prev_T_curr)
+        whole = _whole(
+            mask, geometry.transform(world_T_curr, obj.center), step, longer.prev_time, known, tracker, settings
+        )
+        if whole in known_objects.objects:
+            existing = known_objects.objects[whole]
+            existing.model.integrate(views.curr.frame, own, geometry.inverse(world_T_curr) @ existing.world_T_object)
+            known[mask] = whole
+            continue
         # The object's frame lies at its centre in the older frame, aligned with the world.
         start = np.eye(4)
         start[:3, 3] = geometry.transform(world_T_older @ obj.prev_T_curr, obj.center)
@@ -175,6 +185,41 @@ def add_found(
         known[mask] = track.id
         added.append(track.id)
     return tuple(added)
+
+
+def _whole(
+    mask: BoolMask,
+    center: Float64Array,
+    step: Float64Array,
+    since: float,
+    known: LabelImage,
+    tracker: Tracker,
+    settings: KnownSettings,
+) -> int:
+    """The known object that an object touches and with which it moved: the id of its track, 0 for none.
+
+    Args:
+        mask: (H, W) bool.
+        center: (3,) metres in the world, of the object in the current frame.
+        step: (4, 4) its motion in the world since the older frame.
+        since: time of the older frame.
+        known: (H, W) int32 masks of the known objects.
+        tracker: with their poses.
+        settings: thresholds.
+    """
+    size = 2 * settings.longer_gap.rim + 1
+    around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+    near = set(np.unique(known[around]).tolist())
+    before = geometry.transform(geometry.inverse(step), center)
+    for track in tracker.tracks:
+        poses = [pose for time, pose in zip(track.times, track.world_T_object, strict=True) if time <= since]
+        if track.id not in near or not poses:
+            continue
+        own = geometry.transform(poses[-1] @ geometry.inverse(track.world_T_object[-1]), center)
+        limit = max(settings.follow.piece_shift, settings.follow.piece_share * float(np.linalg.norm(center - before)))
+        if np.linalg.norm(own - before) <= limit:
+            return track.id
+    return 0
 
 
 def _at_size(mask: BoolMask, shape: tuple[int, ...]) -> BoolMask:

@@ -12,8 +12,8 @@ class MergeSettings(Settings):
     """When two known objects are pieces of one."""
 
     min_steps: int = setting(3, minimum=1)
-    """Minimum number of steps of both, in all of which their relative pose was constant. Fewer would unite objects that
-    one push moves."""
+    """Minimum number of steps of both, in all of which their relative pose was constant. With fewer, objects that one
+    push moves would be united."""
     min_step: float = setting(0.005, above=0)
     """Metres: smallest mean displacement of the points of a model in such a step."""
     max_shift: float = setting(0.003, above=0)
