@@ -179,3 +179,33 @@ def test_a_small_last_step_is_a_step_of_the_object() -> None:
     # A pixel has 7 mm.
     assert moved[4] == pytest.approx(4 * STEP, abs=0.005)
     assert moved[5] == pytest.approx(4 * STEP + 0.009, abs=0.005)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_what_touches_a_known_object_and_moves_with_it_is_its_surface(together: bool) -> None:
+    """Consecutive frames show plate 1 only, frames farther apart plate 3, which touches it; or it moves otherwise."""
+    places = [
+        {1: (-0.32 + STEP * k, 0.0, 1.0), 3: (-0.08 + STEP * k, 0.0 if together else STEP * k, 1.0)} for k in range(8)
+    ]
+    scene = PlateScene()
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        numbers = round(prev.timestamp or 0), round(curr.timestamp or 0)
+        found = scene.motion(numbers[1], since=numbers[0])
+        plate = 1 if numbers[1] == numbers[0] + 1 else 3
+        objects = tuple(obj for obj in found.objects if obj.id == plate)
+        return SceneMotion(
+            np.where(found.labels == plate, found.labels, 0).astype(np.int32), found.scene_flow, objects
+        )
+
+    sequence = SequenceEstimator(estimate)
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    assert len(sequence.tracks) == (1 if together else 2)
+    found = next(number for number, step in enumerate(steps, start=1) if step.longer is not None)
+    whole = np.isin(scene.labels[found], (1, 3))
+    known = steps[found - 1].known
+    assert iou(known == 1, whole if together else scene.labels[found] == 1) > 0.9
+    assert sequence.tracks[0].model is not None
+    width = np.ptp(sequence.tracks[0].model.points, axis=0)[0]
+    assert width == pytest.approx(0.48 if together else 0.24, abs=0.04)
