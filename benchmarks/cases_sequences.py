@@ -43,8 +43,10 @@ def hand_over_table(folder: Path) -> SequenceOutcome:
         step = sequence.update(source[number], float(number))
         if step is None:
             continue
-        for label, track in step.tracks.items():
-            true, counts = np.unique(truth[number][step.motion.labels == label], return_counts=True)
+        masks = [(track, step.motion.labels == label) for label, track in step.tracks.items()]
+        masks += [(track, step.known == track) for track in step.followed]
+        for track, mask in masks:
+            true, counts = np.unique(truth[number][mask], return_counts=True)
             votes.setdefault(track, Counter()).update(dict(zip(true.tolist(), counts.tolist(), strict=True)))
         thing = truth[number] == UNTOUCHED
         touched = max(touched, float((step.known[thing] > 0).mean()) if thing.any() else 0.0)

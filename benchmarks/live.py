@@ -34,7 +34,8 @@ from objectflow.geometry.camera import Camera
 from objectflow.live import NewestFrame, follow, replay
 from objectflow.methods.base import Estimator
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking.tracker import Tracker, TrackerSettings
+from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.tracker_settings import TrackerSettings
 from objectflow.typing import Int64Array, UInt8Array
 
 RATE = 30.0

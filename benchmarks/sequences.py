@@ -11,8 +11,9 @@ import dataclasses
 import itertools
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import tyro
@@ -42,8 +43,8 @@ from objectflow.tracking.reconstruction import (
 from objectflow.tracking.sequence_estimator import SequenceEstimator
 from objectflow.tracking.track import Track
 from objectflow.tracking.volume_meshing import TriangleMesh, mesh_area
-from objectflow.typing import Float64Array
-from tracking import FRAME_RATE, MIN_PIXELS, ORACLE, FollowedSteps, true_motion
+from objectflow.typing import BoolMask, Float64Array, LabelImage
+from tracking import FRAME_RATE, MIN_PIXELS, ORACLE, FollowedSteps, best_match, true_motion
 
 NEAR = 0.003
 """Metres: a true point this close to a vertex is covered."""
@@ -51,6 +52,8 @@ AGES = (1, 2, 5, 10, 20)
 """Numbers of frames since an object was followed first, up to which pose errors are printed."""
 END = 10_000
 """Key of the pose errors in the last frame of each sequence."""
+BEFORE = -1
+"""Key of the errors of poses that were found later, by following an object back."""
 REST_SHIFT = 0.0005
 """Metres between two frames, below which an object is at rest."""
 REST_TURN = 0.2
@@ -99,13 +102,13 @@ class PoseErrors:
         """Add a pose.
 
         Args:
-            age: frames since the first one, or `END`.
+            age: frames since the first one, or `BEFORE` or `END`.
             found, true: (4, 4) poses in one frame.
             center: (3,) metres in the object's true frame: the point at which the shift is measured. The axes of
                 symmetry pass through its origin.
             symmetry: of the object; a turn within it is no error.
         """
-        group = age if age == END else next((limit for limit in AGES if age <= limit), AGES[-1] + 1)
+        group = age if age in (BEFORE, END) else next((limit for limit in AGES if age <= limit), AGES[-1] + 1)
         shift = geometry.transform(found, center) - geometry.transform(true, center)
         self.shifts.setdefault(group, []).append(1000 * float(np.linalg.norm(shift)))
         turn = geometry.rotation_angle(reduce_motion(found[:3, :3], true[:3, :3], symmetry))
@@ -124,7 +127,10 @@ class Score(FollowedSteps):
         covered: share of each modelled object's seen surface within `NEAR` of its mesh.
         moved, modelled: number of objects that moved, and of those with a model.
         pairs: number of pairs.
-        estimating, following: CPU seconds of the method, and of everything else but the models' fusion.
+        estimating, following: CPU seconds of the method in consecutive frames, and of everything else but the models'
+            fusion: the method between frames farther apart belongs to the latter.
+        completed, completed_switches: `tracked` and `switches` after the end of each sequence, when objects have been
+            followed back.
     """
 
     tracks: PoseErrors = dataclasses.field(default_factory=PoseErrors)
@@ -137,6 +143,28 @@ class Score(FollowedSteps):
     pairs: int = 0
     estimating: float = 0.0
     following: float = 0.0
+    completed: int = 0
+    completed_switches: int = 0
+
+
+class MovingStep(NamedTuple):
+    """A visible step of a true object.
+
+    Attributes:
+        label: of the object.
+        times: of both frames.
+        mask: (H, W) bool in the current frame.
+        poses: (4, 4) each, the object's true poses in the world in both frames.
+        symmetry: of the object.
+        track: that followed it at once; None for none.
+    """
+
+    label: int
+    times: tuple[float, float]
+    mask: BoolMask
+    poses: tuple[Float64Array, Float64Array]
+    symmetry: Sequence[SymmetryAxis]
+    track: int | None
 
 
 def main(settings: Settings) -> None:
@@ -151,7 +179,7 @@ def main(settings: Settings) -> None:
         images = [noisy(row.image, settings.noise, number) for row in frames]
         for method, estimator in (estimators | {ORACLE: None}).items():
             folder = None if settings.meshes is None else settings.meshes / method / frames[0].sequence
-            add_sequence(scores[method], frames, images, motions(estimator, frames, images), folder)
+            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
     tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
@@ -168,30 +196,30 @@ def noisy(frame: RgbdFrame, scale: float, seed: int) -> RgbdFrame:
     return RgbdFrame(frame.color, depth, frame.camera, frame.timestamp, frame.name)
 
 
-def motions(
+def between(
     estimator: Estimator | None, frames: Sequence[SequenceRow], images: Sequence[RgbdFrame]
-) -> Iterator[SceneMotion]:
-    """The motions of all consecutive pairs; the true ones if there is no estimator."""
-    for (prev, curr), (prev_image, curr_image) in zip(
-        itertools.pairwise(frames), itertools.pairwise(images), strict=True
-    ):
-        yield true_motion(prev, curr) if estimator is None else estimator(prev_image, curr_image)
+) -> Callable[[int, int], SceneMotion]:
+    """The motion between two frames of these numbers, the earlier one first; the true one if there is no estimator."""
+    if estimator is None:
+        return lambda prev, curr: true_motion(frames[prev], frames[curr])
+    return lambda prev, curr: estimator(images[prev], images[curr])
 
 
 def add_sequence(
     score: Score,
     frames: Sequence[SequenceRow],
     images: Sequence[RgbdFrame],
-    results: Iterator[SceneMotion],
+    estimate_between: Callable[[int, int], SceneMotion],
     folder: Path | None,
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
-    given = iter(results)
+    numbers = {id(image): number for number, image in enumerate(images)}
 
     def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         began = time.process_time()
-        found = next(given)
-        score.estimating += time.process_time() - began
+        found = estimate_between(numbers[id(prev)], numbers[id(curr)])
+        if numbers[id(curr)] == numbers[id(prev)] + 1:
+            score.estimating += time.process_time() - began
         return found
 
     sequence = SequenceEstimator(estimate)
@@ -200,6 +228,8 @@ def add_sequence(
     owners: dict[int, Counter[int]] = {}
     movers: set[int] = set()
     views: list[SequenceView] = []
+    moving: list[MovingStep] = []
+    known_at: dict[float, LabelImage] = {}
     sequence.update(images[0], frames[0].frame / FRAME_RATE)
     last_number = len(frames) - 1
     for number, ((prev, curr), image) in enumerate(zip(itertools.pairwise(frames), images[1:], strict=True), start=1):
@@ -213,9 +243,13 @@ def add_sequence(
         world_T_camera = sequence.tracker.world_T_camera[-1]
         views.append(SequenceView(number, 0, step.times[1], image, step.motion.labels, world_T_camera, step.known))
         tracks = {track.id: track for track in sequence.tracks}
+        known_at |= {step.times[1]: step.known, **step.revised}
         steps = score.add_pair(prev, curr, step.motion, step.tracks, last, step.known, step.followed)
         for obj, track_id in steps:
             movers.add(obj.label)
+            poses = camera_pose(prev) @ obj.prev_pose, camera_pose(curr) @ obj.curr_pose
+            mask = curr.labels == obj.label
+            moving.append(MovingStep(obj.label, step.times, mask, poses, obj.symmetry, track_id))
             if track_id is not None:
                 owners.setdefault(track_id, Counter())[obj.label] += 1
                 if (obj.label, track_id) not in starts:
@@ -237,7 +271,42 @@ def add_sequence(
                 known = step.known == track_id
                 score.rest.append(float((known & mask).sum() / (known | mask).sum()))
     score.moved += len(movers)
+    add_completed(score, moving, sequence.tracks, known_at, {key: start for key, (_, start) in starts.items()})
+    views = [view._replace(known=known_at[view.time]) for view in views]
     add_models(score, frames, views, sequence.tracks, owners, folder)
+
+
+def add_completed(
+    score: Score,
+    moving: Sequence[MovingStep],
+    tracks: Sequence[Track],
+    known_at: Mapping[float, LabelImage],
+    starts: Mapping[tuple[int, int], Float64Array],
+) -> None:
+    """Count the steps that are followed at the end of a sequence, at once or later.
+
+    A step that was followed later has different poses of one track in both frames, and the known mask of that track
+    covers the object. Tracks that were merged are one.
+    """
+    last: dict[int, int] = {}
+    whole = {piece: track.id for track in tracks for piece in track.merged}
+    for step in moving:
+        track_id = step.track if step.track is None else whole.get(step.track, step.track)
+        for track in tracks if track_id is None else ():
+            if set(step.times) <= set(track.times):
+                prev, curr = (track.world_T_object[track.times.index(time)] for time in step.times)
+                same = best_match(step.mask, known_at[step.times[1]], {track.id: track.id})
+                if same is None or np.array_equal(prev, curr):
+                    continue
+                track_id = same
+                if (step.label, same) in starts:
+                    for found, true in zip((prev, curr), step.poses, strict=True):
+                        pose = found @ starts[step.label, same]
+                        score.tracks.add(BEFORE, pose, true, np.zeros(3), step.symmetry)
+        if track_id is not None:
+            score.completed += 1
+            score.completed_switches += last.get(step.label, track_id) != track_id
+            last[step.label] = track_id
 
 
 def camera_pose(row: SequenceRow) -> Float64Array:
@@ -312,12 +381,21 @@ def true_surface(frames: Sequence[SequenceRow], label: int) -> tuple[Float64Arra
 
 
 def following_table(title: str, scores: dict[str, Score]) -> Table:
-    columns = ("method", "followed steps", "switches", "IoU at rest, median", "mean", "objects that moved", "modelled")
+    columns = (
+        "method", "followed at once", "switches", "in the end", "switches", "IoU at rest, median", "mean",
+        "objects that moved", "modelled",
+    )  # fmt: skip
     table = Table(*columns, title=title)
     for method, score in scores.items():
-        share = f"{score.tracked} of {score.visible} ({score.tracked / max(1, score.visible):.0%})"
+        once, end = (
+            f"{count} of {score.visible} ({count / max(1, score.visible):.0%})"
+            for count in (score.tracked, score.completed)
+        )
         rest = (f"{np.median(score.rest):.2f}", f"{np.mean(score.rest):.2f}") if score.rest else ("-", "-")
-        table.add_row(method, share, str(score.switches), *rest, str(score.moved), str(score.modelled))
+        table.add_row(
+            method, once, str(score.switches), end, str(score.completed_switches), *rest, str(score.moved),
+            str(score.modelled),
+        )  # fmt: skip
     return table
 
 
@@ -341,7 +419,11 @@ def model_table(scores: dict[str, Score]) -> Table:
 
 def pose_table(scores: dict[str, Score]) -> Table:
     """Median pose errors by the number of frames since an object was followed first."""
-    names = {age: f"<= {age}" for age in AGES} | {AGES[-1] + 1: f"> {AGES[-1]}", END: "at the end"}
+    names = (
+        {BEFORE: "followed back"}
+        | {age: f"<= {age}" for age in AGES}
+        | {AGES[-1] + 1: f"> {AGES[-1]}", END: "at the end"}
+    )
     table = Table("median pose error after", *names.values())
     for method, score in scores.items():
         for kind, errors in (("track", score.tracks), ("model", score.models)):

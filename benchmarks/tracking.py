@@ -94,7 +94,11 @@ class FollowedSteps:
             if not moved(own_translation(obj, pair.camera_motion)) or mask.sum() < MIN_PIXELS:
                 continue
             self.visible += 1
-            track_id = best_match(mask, motion.labels, links)
+            # Several objects of an estimate may be pieces of one track.
+            linked = np.zeros_like(motion.labels)
+            for label, number in links.items():
+                linked[motion.labels == label] = number
+            track_id = best_match(mask, linked, {number: number for number in links.values()})
             if track_id is None and known is not None:
                 track_id = best_match(mask, known, {number: number for number in followed})
             if track_id is not None:

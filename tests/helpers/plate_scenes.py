@@ -44,9 +44,10 @@ class PlateScene:
         self.labels[number], self.places[number] = labels, places
         return RgbdFrame(color, depth, CAMERA, timestamp=float(number))
 
-    def motion(self, number: int, error: Place = (0, 0, 0)) -> SceneMotion:
-        """The true motion of the plates that moved, plus an error, metres."""
-        before, after, labels = self.places[number - 1], self.places[number], self.labels[number].copy()
+    def motion(self, number: int, error: Place = (0, 0, 0), since: int | None = None) -> SceneMotion:
+        """The true motion of the plates that moved since a frame, the previous one if None, plus an error, metres."""
+        before = self.places[number - 1 if since is None else since]
+        after, labels = self.places[number], self.labels[number].copy()
         objects = []
         for plate in np.unique(labels[labels > 0]).tolist():
             if before.get(plate, after[plate]) == after[plate]:

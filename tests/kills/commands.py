@@ -17,6 +17,9 @@ import pytest
 import torch
 
 from helpers.fake_scenes import FRAMES, SETTINGS, FakeScenes
+from helpers.plate_recordings import PLATE_PATH, missing_steps, write_plates
+from helpers.plate_scenes import CAMERA as PLATE_CAMERA
+from helpers.plate_scenes import PlateScene
 from helpers.training_runs import RECIPE, job, write_set
 from kills.harness import Command, Make
 from objectflow.cli import main
@@ -87,6 +90,22 @@ def run_with_video_and_report(folder: Path) -> None:
     run(folder, "--video", "--report")
 
 
+def write_plate_frames(folder: Path) -> None:
+    write_plates(folder / "in", PLATE_PATH)
+    camera = PLATE_CAMERA.to_dict()
+    (folder / "in" / "camera.json").write_text(json.dumps({**camera, "depth_scale": 1000}))
+
+
+def run_finding_later(folder: Path) -> None:
+    """An object is found late, so that masks in the folders of earlier pairs are completed."""
+    scene = PlateScene()
+    for number, here in enumerate(PLATE_PATH):
+        scene.frame(number, here)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("objectflow.cli.arguments.load", lambda *_, **__: missing_steps(scene, first=5))
+        run(folder, "--no-pictures")
+
+
 def estimate(folder: Path) -> None:
     images = [str(folder / "in" / kind / f"{i}.png") for i in range(2) for kind in ("color", "depth")]
     camera = ["--camera-file", str(folder / "in" / "camera.json")]
@@ -140,6 +159,7 @@ COMMANDS: dict[str, tuple[Command, Make]] = {
     "estimate, replacing a result": (estimate, write_frames_and_result),
     "run": (run, write_frames),
     "run with a video and a report": (run_with_video_and_report, write_frames),
+    "run finding an object later": (run_finding_later, write_plate_frames),
     "evaluate": (evaluate, nothing),
     "evaluate without a report": (evaluate_without_report, nothing),
     "generate": (generate_scenes, nothing),

@@ -21,6 +21,7 @@ from kills.harness import Difference, kill_everywhere
         ("estimate", 7, 20),
         ("estimate, replacing a result", 10, 30),
         ("run", 11, 80),
+        ("run finding an object later", 7, 150),
         ("evaluate without a report", 6, 50),
         ("generate fake scenes", 9, 30),
         ("train with every feature", 4, 60),

@@ -19,7 +19,8 @@ from objectflow.live import NewestFrame, follow, replay
 from objectflow.live.newest_frame import FrameTaken
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.readers import FramePaths, FrameSequence
-from objectflow.tracking.tracker import Tracker, TrackerSettings
+from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.tracker_settings import TrackerSettings
 
 CAMERA = Camera(16, 12, 20.0, 20.0, 7.5, 5.5)
 PAIR = ROOT / "src" / "objectflow" / "demo" / "pair"

@@ -11,7 +11,9 @@ from helpers.plate_scenes import Place, PlateScene, iou
 from objectflow import SequenceEstimator
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
-from objectflow.tracking import SequenceStep, Tracker, TrackerSettings
+from objectflow.tracking import KnownSettings, SequenceStep, Tracker, TrackerSettings
+from objectflow.tracking.follow_settings import FollowSettings
+from objectflow.tracking.looks import LooksSettings
 
 STILL: Place = (0.3, 0.2, 1.2)
 STEP = 0.03
@@ -158,3 +160,55 @@ def test_two_that_moved_as_one_and_come_apart_are_two_tracks_with_the_whole_traj
     np.testing.assert_array_equal(rested.world_T_object[:5], moved.world_T_object[:5])
     assert iou(last == moved.id, scene.labels[8] == 1) > 0.85
     assert iou(last == rested.id, scene.labels[8] == 3) > 0.85
+
+
+def test_known_objects_in_one_mask_of_the_method_are_told_apart_by_their_models() -> None:
+    """Plates 1 and 3 have moved one after the other; then both move, and the method reports them as one object."""
+    left, right = [-0.3 + STEP * k for k in range(4)], [0.06 + STEP * k for k in range(4)]
+    places = [{1: (x, 0.0, 1.0), 3: (right[0], 0.0, 1.0), 2: STILL} for x in left]
+    places += [{1: (left[-1], 0.0, 1.0), 3: (x, 0.0, 1.0), 2: STILL} for x in right[1:]]
+    places += [{1: (left[-1], STEP * k, 1.0), 3: (right[-1], STEP * k, 1.0), 2: STILL} for k in (1, 2)]
+    scene = PlateScene()
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = round(curr.timestamp or 0)
+        found = scene.motion(number)
+        if number < 7:
+            return found
+        both = found.objects[0]
+        labels = np.where(np.isin(scene.labels[number], (1, 3)), both.id, 0).astype(np.int32)
+        return SceneMotion(labels, found.scene_flow, (both,))
+
+    sequence = SequenceEstimator(estimate)
+    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
+    assert [set(step.tracks.values()) | set(step.followed) for step in steps[-2:]] == [{1, 2}, {1, 2}]
+    for number in (7, 8):
+        for track, plate in ((1, 1), (2, 3)):
+            assert iou(steps[number - 1].known == track, scene.labels[number] == plate) > 0.9
+    for track in sequence.tracks:
+        moved = track.world_T_object[-1][:3, 3] - track.world_T_object[0][:3, 3]
+        np.testing.assert_allclose(moved, [3 * STEP, 2 * STEP, 0], atol=0.005)
+
+
+def test_the_pose_of_an_object_that_moved_unseen_is_corrected_when_it_moves_again() -> None:
+    """A jump of 12 cm is missed, and the object is not searched by its looks; the next step starts elsewhere."""
+    before, jump = pushed(4), 0.12
+    end = before[-1][1][0] + jump
+    places = [*before, *({1: (end + STEP * k, 0.0, 1.0), 2: STILL} for k in range(3))]
+    scene = PlateScene()
+    frames = [scene.frame(number, here) for number, here in enumerate(places)]
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = round(curr.timestamp or 0)
+        found = scene.motion(number)
+        return SceneMotion(np.zeros_like(found.labels), found.scene_flow) if number == 4 else found
+
+    settings = KnownSettings(follow=FollowSettings(looks=LooksSettings(min_inliers=10_000), min_matches=10_000))
+    sequence = SequenceEstimator(estimate, settings=settings)
+    for frame in frames:
+        sequence.update(frame)
+    track = sequence.tracks[0]
+    assert track.times[-3:] == [4, 5, 6]
+    shifts = [pose[0, 3] - track.world_T_object[0][0, 3] for pose in track.world_T_object[-3:]]
+    np.testing.assert_allclose(shifts, 3 * STEP + jump + STEP * np.arange(3), atol=0.01)

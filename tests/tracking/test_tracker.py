@@ -18,7 +18,9 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.settings import build
-from objectflow.tracking.tracker import Tracker, TrackerSettings, footprint_overlap
+from objectflow.tracking.seen_surface import footprint_overlap
+from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.tracker_settings import TrackerSettings
 from objectflow.tracking.trajectory_files import tum_lines, write_tracks
 from objectflow.typing import Float64Array
 

@@ -23,7 +23,8 @@ from objectflow.readers.camera_registry import CAMERAS, make_driver, suggestion
 from objectflow.runtime.quiet import silence_stderr
 from objectflow.storage import files
 from objectflow.storage.temporaries import sweep
-from objectflow.tracking.tracker import Tracker, TrackerSettings
+from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.tracker_settings import TrackerSettings
 from objectflow.tracking.trajectory_files import write_tracks
 from objectflow.view.viewer_frames import tracked_frames
 

@@ -6,7 +6,7 @@ import itertools
 import json
 import statistics
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -32,7 +32,7 @@ from objectflow.cli.output import (
 from objectflow.cli.progress import show_progress
 from objectflow.cli.reconstruct import write_run_models
 from objectflow.cli.run_estimates import estimate_pairs, read_pairs
-from objectflow.cli.run_folder import KNOWN, NOTES, RUN_FOLDER
+from objectflow.cli.run_folder import KNOWN, NOTES, RUN_FOLDER, read_longer, write_known, write_longer
 from objectflow.cli.run_pairs import ReadablePairs, select_frames
 from objectflow.cli.run_report import REPORT, write_report_page
 from objectflow.errors import FrameError, ReaderError, ResultError
@@ -51,6 +51,7 @@ from objectflow.storage.locked_folder import locked_folder
 from objectflow.tracking.sequence_estimator import SequenceStep
 from objectflow.tracking.trajectory_files import TRACKS, TRAJECTORIES, write_tracks
 from objectflow.tracking.volume_meshing import check_extra
+from objectflow.typing import LabelImage
 from objectflow.view.known import draw_known
 from objectflow.view.overlay import TrackMarks
 from objectflow.view.run_tracks import RunTracks
@@ -155,6 +156,7 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                 if self.out is None:
                     link_latest(out)
                 finished: list[tuple[int, int]] = []
+                folders: dict[int, Path] = {}
                 skipped = 0
                 step: SequenceStep | None = None
                 is_first = True
@@ -171,17 +173,22 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
                         if prev is None or curr is None:
                             skipped += 1
                             stored = SceneMotion.load(result)
-                            step, _ = tracks.add(prev_index, curr_index, sequence[curr_index], stored)
+                            longer = read_longer(result)
+                            step, _ = tracks.add(prev_index, curr_index, sequence[curr_index], stored, longer)
                         else:
                             if is_first:
                                 warn_of(prev, curr)
                             is_first = False
                             step, marks = tracks.add(prev_index, curr_index, curr, motion)
                             # Files and pictures are made in another thread while the next pair is estimated.
-                            writer.submit(partial(_write_step, result, step, marks, self.pictures, self.export))
+                            older = None if step.longer is None else tracks.index_at(step.longer.prev_time)
+                            writer.submit(partial(_write_step, result, step, marks, older, self.pictures, self.export))
                         finished.append((prev_index, curr_index))
+                        folders[curr_index] = result
+                        _complete_masks(folders, tracks.final_masks(), writer)
                         advance()
                         viewer.show(partial(tracks.frames, step, prev_index, curr_index))
+                    _complete_masks(folders, tracks.final_masks(is_last=True), writer)
                 write_tracks(out, tracks.sequence.tracker)
                 followed = len(tracks.sequence.tracks)
                 if self.pictures and step is not None:
@@ -241,12 +248,28 @@ class Run(ViewArguments, ResultArguments, SourceArguments, MethodArguments):
 
 
 def _write_step(
-    result: Path, step: SequenceStep, marks: TrackMarks, pictures: bool, exports: Collection[Export]
+    result: Path,
+    step: SequenceStep,
+    marks: TrackMarks,
+    older: int | None,
+    pictures: bool,
+    exports: Collection[Export],
 ) -> None:
     """Write the folder of a pair, whole or not at all."""
     with files.new_folder(result) as folder:
         write_result(folder, step.curr, step.motion, tracks=marks, pictures=pictures, exports=exports)
         (folder / KNOWN).write_bytes(encode_png(step.known.astype(np.uint16)))
+        if step.longer is not None and older is not None:
+            write_longer(folder, older, step.longer.motion)
+
+
+def _complete_masks(
+    folders: Mapping[int, Path], masks: Iterable[tuple[int, LabelImage]], writer: OrderedThread
+) -> None:
+    """Write the masks of objects that were found later, into the folders of the pairs that end with these frames."""
+    for index, known in masks:
+        if index in folders:  # no pair ends with the first frame of a part
+            writer.submit(partial(write_known, folders[index], known))
 
 
 @contextmanager

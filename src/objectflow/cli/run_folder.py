@@ -18,7 +18,9 @@ from objectflow.readers import CameraOptions, FrameSource, open_source
 from objectflow.storage import files
 from objectflow.storage.foreign import foreign_errors, located_errors
 from objectflow.storage.image_files import read_image
+from objectflow.storage.images import encode_png
 from objectflow.storage.locked_folder import SETTINGS, FolderKind
+from objectflow.storage.temporaries import sweep
 from objectflow.tracking.model_files import INDEX, MODELS
 from objectflow.tracking.reconstruction import SequenceView
 from objectflow.tracking.track import Track
@@ -38,6 +40,8 @@ KNOWN = "known.png"
 """File of a pair's known objects: a 16-bit image of track ids, 0 beside them."""
 NOTES = "notes.txt"
 """File of the notes on the source and of the frames that were left out; absent if there are none."""
+LONGER_NAME = re.compile(r"since_(\d+)")
+"""Folder in that of a pair: the result between an older frame, whose number it has, and the pair's current frame."""
 PAIR_NAME = re.compile(r"pair_(\d+)_(\d+)")
 
 
@@ -135,6 +139,37 @@ def read_known(pair: Path) -> LabelImage:
     return np.asarray(read_image(pair / KNOWN), dtype=np.int32)
 
 
+def write_known(pair: Path, known: LabelImage) -> None:
+    """Replace `known.png` in the folder of a pair, if it is another image.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    data = encode_png(known.astype(np.uint16))
+    if files.read_bytes(pair / KNOWN) != data:
+        sweep(pair)  # what an interrupted run left
+        files.write_bytes(pair / KNOWN, data)
+
+
+def write_longer(pair: Path, older: int, motion: SceneMotion) -> None:
+    """Write the result between an older frame of this number and the current frame into the new folder of a pair."""
+    folder = pair / f"since_{older:06d}"
+    folder.mkdir()
+    motion.write_into(folder)
+
+
+def read_longer(pair: Path) -> tuple[int, SceneMotion] | None:
+    """The number and the result of what `write_longer` wrote; None where it wrote nothing.
+
+    Raises:
+        ResultError: the result is damaged.
+    """
+    for folder in sorted(pair.iterdir()):
+        if match := LONGER_NAME.fullmatch(folder.name):
+            return int(match[1]), SceneMotion.load(folder)
+    return None
+
+
 def read_model_index(run: Path) -> dict[str, Any]:
     """The content of `models/index.json`; empty for a run without models.
 
@@ -185,6 +220,7 @@ def _track(values: dict[str, Any]) -> Track:
         [int(label) for label in values["labels"]],
         [float(score) for score in values["scores"]],
         [float(time) for time in values["gaps"]],
+        merged=[int(number) for number in values.get("merged", ())],
     )
     lengths = {len(track.times), len(track.world_T_object), len(track.labels), len(track.scores)}
     if len(lengths) > 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from objectflow.motion import ObjectMotion
@@ -34,5 +34,17 @@ class Evidence(Protocol):
 
         Returns:
             None for a new object.
+        """
+        ...
+
+    def contains(self, obj: ObjectMotion, steps: Mapping[int, tuple[Float64Array, Float64Array]]) -> int | None:
+        """The track of which an object without an association is a piece.
+
+        Args:
+            obj: of the estimate.
+            steps: of the tracks with an association, the poses `camera_T_object` (4, 4) in both frames.
+
+        Returns:
+            None where it is no piece of a known object.
         """
         ...

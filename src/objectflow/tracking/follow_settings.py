@@ -49,3 +49,9 @@ class FollowSettings(Settings):
     refused_rest: float = setting(0.9, minimum=0, maximum=1)
     """Share of the model's visible points that the frame confirms at the last pose, from which an estimated motion
     that explains the frame less well is refused."""
+    min_piece: float = setting(0.7, minimum=0, maximum=1)
+    """Minimum share of an object of a pair that the model of a moving one covers, of which it is a piece."""
+    piece_shift: float = setting(0.003, minimum=0)
+    """Metres: largest difference between the motions of a piece and of the whole at the centre of the piece."""
+    piece_share: float = setting(0.2, minimum=0)
+    """The same relative to the displacement of the piece; the larger of both applies."""

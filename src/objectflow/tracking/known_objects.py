@@ -12,9 +12,10 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
+from objectflow.tracking.fine_step import NeighbourFrame, fine_step
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.model_evidence import ModelEvidence
+from objectflow.tracking.model_evidence import ModelEvidence, starts_in_mask
 from objectflow.tracking.model_fit import FrameView
 from objectflow.tracking.model_motion import (
     ModelPose,
@@ -24,7 +25,7 @@ from objectflow.tracking.model_motion import (
     model_motion,
 )
 from objectflow.tracking.parts import resting_part
-from objectflow.tracking.surface_model import SurfaceModel
+from objectflow.tracking.surface_model import SurfaceModel, new_model
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
@@ -35,11 +36,16 @@ class KnownObjects:
     Attributes:
         settings: thresholds.
         objects: by the id of the track.
+        found: id of each object that became known in the latest frame, and the id of the object of which it was a
+            part until then, 0 for none.
+        rested: ids of the objects that came to rest in the latest frame.
     """
 
     def __init__(self, settings: KnownSettings | None = None) -> None:
         self.settings = settings or KnownSettings()
         self.objects: dict[int, KnownObject] = {}
+        self.found: dict[int, int] = {}
+        self.rested: set[int] = set()
         self._searches = 0
 
     def view(self, frame: PreparedFrame, noise: DepthNoise = STRUCTURED_LIGHT) -> FrameView:
@@ -98,6 +104,14 @@ class KnownObjects:
             seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
             dropped = known.present - fit.present >= self.settings.follow.min_drop
             if seen and fit.present >= self.settings.follow.max_rest and not dropped:
+                if known.moved:
+                    starts = self._starts(views, number, motion, tracker, rest)
+                    neighbour = NeighbourFrame(views.prev, views.prev_T_curr)
+                    fine = fine_step(views.curr, neighbour, known.model, rest, starts, self.settings.earlier)
+                    if fine is not None and fine.moved:
+                        pose = tracker.world_T_camera[-1] @ fine.camera_T_object
+                        tracker.follow(number, prev_time, time, pose, fine.present)
+                        followed.append(number)
                 continue
             found = None
             # A model that fits as badly as in the last frame is inexact or half hidden, and does not move.
@@ -107,7 +121,7 @@ class KnownObjects:
             if found is None:
                 if not seen or fit.present < self.settings.min_present:
                     lost.append(number)
-            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, curr_T_world):
+            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, tracker):
                 tracker.follow(
                     number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
                 )
@@ -116,7 +130,7 @@ class KnownObjects:
         self._searches += 1
         for number in sorted(lost, key=lambda number: (self.objects[number].searched, number))[:1]:
             self.objects[number].searched = self._searches
-            found = self._search(views.curr, number, motion, tracks, curr_T_world)
+            found = self._search(views.curr, number, motion, tracks, tracker)
             if found is not None:
                 tracker.follow(
                     number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
@@ -144,16 +158,16 @@ class KnownObjects:
         number: int,
         motion: SceneMotion,
         tracks: Mapping[int, int],
-        curr_T_world: Float64Array,
+        tracker: Tracker,
     ) -> ModelPose | None:
         """The pose at which a lost object is found again by its looks, confirmed by its model."""
         known, settings = self.objects[number], self.settings.follow
         start = known.looks.find(view.frame, view.noise, settings.looks)
         found = None if start is None else best_pose(view, known.model, [start], settings)
-        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, curr_T_world):
+        if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, tracker):
             return None
         center = known.model.points.mean(axis=0)
-        place = geometry.transform(geometry.inverse(curr_T_world) @ found.curr_T_object, center)
+        place = geometry.transform(tracker.world_T_camera[-1] @ found.curr_T_object, center)
         twin = known.twin is not None and np.linalg.norm(place - known.twin) < settings.twin_distance
         return None if twin else found
 
@@ -164,16 +178,47 @@ class KnownObjects:
         curr_T_object: Float64Array,
         motion: SceneMotion,
         tracks: Mapping[int, int],
-        curr_T_world: Float64Array,
+        tracker: Tracker,
     ) -> bool:
-        """Whether most of the surface at the new pose of an object belongs to other known objects."""
+        """Whether most of the surface at the new pose of an object belongs to other objects."""
         mask, _ = view.mask(self.objects[number].model, curr_T_object)
         labels = resize_nearest(motion.labels, mask.shape)
-        claimed = np.isin(labels, list(tracks))
+        # A mask of the estimate may contain several known objects, which only their models tell apart.
+        claimed = np.isin(labels, [label for label, track in tracks.items() if track not in self.objects])
+        moved = {track.id: track.world_T_object[-1] for track in tracker.tracks if track.id in tracks.values()}
+        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         for other, known in self.objects.items():
-            if other != number and other not in tracks.values():
-                claimed |= view.mask(known.model, curr_T_world @ known.world_T_object)[0]
+            if other != number:
+                pose = moved.get(other, known.world_T_object)
+                claimed |= view.mask(known.model, curr_T_world @ pose)[0]
         return bool((mask & claimed).sum() > self.settings.follow.max_claimed * max(1, mask.sum()))
+
+    def _separated(
+        self,
+        masks: Mapping[int, BoolMask],
+        followed: Collection[int],
+        poses: Mapping[int, Float64Array],
+        view: FrameView,
+    ) -> dict[int, BoolMask]:
+        """Masks of an estimate without the surface of objects that were followed by their models.
+
+        Args:
+            masks: (H, W) bool by track id.
+            followed: track ids.
+            poses: (4, 4) `curr_T_object` by track id.
+            view: the current frame.
+        """
+        taken = np.zeros(view.frame.frame.depth.shape, bool)
+        for number in followed:
+            taken |= view.mask(self.objects[number].model, poses[number])[0]
+        if not taken.any():
+            return dict(masks)
+        out = {}
+        for number, mask in masks.items():
+            known = self.objects.get(number)
+            own = taken & False if known is None else view.mask(known.model, poses[number])[0]
+            out[number] = mask & (own | ~taken)
+        return out
 
     def update(
         self,
@@ -200,18 +245,24 @@ class KnownObjects:
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
         """
+        self.found, self.rested = {}, set()
         if not tracker.world_T_camera:  # the camera is lost
             self.objects = {}
             return np.zeros(shape, np.int32)
         curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         height, width = view.frame.frame.depth.shape
         labels = resize_nearest(motion.labels, (height, width))
-        masks = {track: labels == label for label, track in tracks.items()}
+        masks = {
+            track: np.isin(labels, [label for label, other in tracks.items() if other == track])
+            for track in set(tracks.values())
+        }
         alive = {track.id for track in tracker.tracks}
         self.objects = {number: known for number, known in self.objects.items() if number in alive}
         for number in sorted(set(masks) & set(self.objects)):
             self._split(number, masks[number], view, tracker)
         by_id = {track.id: track for track in tracker.tracks}
+        poses = {number: curr_T_world @ by_id[number].world_T_object[-1] for number in (*masks, *followed)}
+        masks = self._separated(masks, followed, poses, view)
         regions: dict[int, BoolMask] = {}
         depths: dict[int, np.ndarray] = {}
         for number in sorted({*self.objects, *masks}):
@@ -224,6 +275,7 @@ class KnownObjects:
                 fit = view.fit(known.model, curr_T_world @ known.world_T_object)
                 known.model.count(fit.fits, fit.missing)
             elif self.objects[number].moved:
+                self.rested.add(number)
                 self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
             if number not in self.objects:
                 continue
@@ -270,6 +322,7 @@ class KnownObjects:
         points = geometry.transform(known.world_T_object, part.points)
         track = tracker.split(number, points, part.colors)
         self.objects[track.id] = KnownObject(part, known.world_T_object, moved=False)
+        self.found[track.id] = number
         self.objects[track.id].looks.add(view.frame, shown, rest, settings.looks)
 
     def _move(
@@ -285,16 +338,25 @@ class KnownObjects:
         if known is None:
             if (mask & view.frame.valid).sum() < self.settings.min_pixels:
                 return
-            depth = float(np.median(view.frame.frame.depth[mask & view.frame.valid]))
-            # Two pixels: at one, noise would spread a surface over several voxels.
-            model = SurfaceModel(2 * depth / view.frame.frame.camera.fx, self.settings.max_points)
+            model = new_model(view.frame, mask, curr_T_world @ poses[-1], self.settings.max_points)
             known = self.objects[number] = KnownObject(model, poses[-1])
+            self.found[number] = 0
         else:
+            step = poses[-1] @ geometry.inverse(poses[-2]) if len(poses) > 1 else np.eye(4)
             poses[-1] = self._registered(known.model, poses[-1], view, curr_T_world)
             fit = view.fit(known.model, curr_T_world @ poses[-1])
+            if known.present < self.settings.min_present and fit.present < self.settings.min_present:
+                # The object was lost, so that its motion did not begin at its last pose.
+                starts = starts_in_mask(view, known, mask, curr_T_world @ poses[-1], self.settings)
+                found = best_pose(view, known.model, starts, self.settings.follow)
+                if found is not None and found.present >= fit.present + self.settings.follow.min_gain:
+                    poses[-1] = geometry.inverse(curr_T_world) @ found.curr_T_object
+                    if len(poses) > 1:
+                        poses[-2] = geometry.inverse(step) @ poses[-1]
+                    fit = view.fit(known.model, found.curr_T_object)
             known.model.count(fit.fits, fit.missing)
+            known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
         known.world_T_object, known.moved = poses[-1], True
-        known.model.integrate(view.frame, mask, curr_T_world @ poses[-1])
         known.looks.add(view.frame, mask, curr_T_world @ poses[-1], self.settings.follow.looks)
 
     def _rest(

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from objectflow.alignment.measured_noise import MeasuredNoiseSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.settings import Settings, setting
+from objectflow.tracking.earlier_settings import EarlierSettings
 from objectflow.tracking.follow_settings import FollowSettings
+from objectflow.tracking.longer_gap_settings import LongerGapSettings
+from objectflow.tracking.merge_settings import MergeSettings
 from objectflow.tracking.pose_cost import PoseCostSettings
 
 
@@ -52,6 +55,12 @@ class KnownSettings(Settings):
     """When a registered pose replaces a chained one."""
     follow: FollowSettings = FollowSettings()
     """When an object is followed by its model alone, and when an estimate is refused."""
+    earlier: EarlierSettings = EarlierSettings()
+    """How an object that has just been found is followed back in time."""
+    longer_gap: LongerGapSettings = LongerGapSettings()
+    """When a frame is also compared with an older one than the previous one."""
+    merge: MergeSettings = MergeSettings()
+    """When two known objects are pieces of one."""
     max_correction: float = setting(0.02, minimum=0)
     """Metres: largest displacement by which registration to the model corrects a chained pose."""
     max_correction_deg: float = setting(16.0, minimum=0)

@@ -72,6 +72,18 @@ class Looks:
         self._points = np.concatenate([self._points, own])[-settings.max_features :]
         self._words = np.concatenate([self._words, quantised])[-settings.max_features :]
 
+    def add_all(self, other: Looks, own_T_other: Float64Array, max_features: int) -> None:
+        """Add the features of another object that belongs to this one.
+
+        Args:
+            other: its features.
+            own_T_other: (4, 4) from its frame to that of this object.
+            max_features: maximum number of features, of which the latest are kept.
+        """
+        points = geometry.transform(own_T_other, other._points.astype(np.float64)).astype(np.float32)
+        self._points = np.concatenate([self._points, points])[-max_features:]
+        self._words = np.concatenate([self._words, other._words])[-max_features:]
+
     def find(
         self, frame: PreparedFrame, noise: DepthNoise, settings: LooksSettings, mask: BoolMask | None = None
     ) -> Float64Array | None:

@@ -76,7 +76,7 @@ class ModelEvidence:
             fit = view.fit(known.model, rest)
             if fit.visible >= self._settings.min_visible and fit.present >= settings.max_rest:
                 continue  # seen at rest
-            found = best_pose(view, known.model, self._starts(known, mask, rest), settings)
+            found = best_pose(view, known.model, starts_in_mask(view, known, mask, rest, self._settings), settings)
             if found is None:
                 continue
             shown, _ = view.mask(known.model, found.curr_T_object)
@@ -85,17 +85,44 @@ class ModelEvidence:
                 best = found.present, number, found.curr_T_object
         return None if best is None else best[1:]
 
-    def _starts(self, known: KnownObject, mask: BoolMask, rest: Float64Array) -> list[Float64Array]:
-        """Initial poses of a model in a mask: by its looks, and at the mask's centre with its last orientation."""
+    def contains(self, obj: ObjectMotion, steps: Mapping[int, tuple[Float64Array, Float64Array]]) -> int | None:
+        """See `Evidence.contains`."""
         view, settings = self._view, self._settings.follow
-        around = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        looks = known.looks.find(view.frame, view.noise, settings.looks, np.asarray(around))
-        starts = [] if looks is None else [looks]
-        inside = mask & view.frame.valid
-        facing = known.model.facing(rest)
-        if inside.any() and facing.any():
-            center = np.median(view.frame.points[inside].astype(np.float64), axis=0)
-            moved = rest.copy()
-            moved[:3, 3] += center - np.median(geometry.transform(rest, known.model.points[facing]), axis=0)
-            starts.append(moved)
-        return starts
+        mask = np.asarray(resize_nearest((self._labels == obj.id).astype(np.uint8), view.frame.frame.depth.shape) > 0)
+        own = geometry.transform(obj.prev_T_curr, obj.center)
+        for number, (before, after) in steps.items():
+            if number not in self._objects:
+                continue
+            apart = np.linalg.norm(own - geometry.transform(before @ geometry.inverse(after), obj.center))
+            limit = max(settings.piece_shift, settings.piece_share * float(np.linalg.norm(own - obj.center)))
+            if apart > limit:
+                continue
+            shown, _ = view.mask(self._objects[number].model, after)
+            if (shown & mask).sum() >= settings.min_piece * max(1, mask.sum()):
+                return number
+        return None
+
+
+def starts_in_mask(
+    view: FrameView, known: KnownObject, mask: BoolMask, rest: Float64Array, settings: KnownSettings
+) -> list[Float64Array]:
+    """Initial poses of a model in a mask: by its looks, and at the mask's centre with its last orientation.
+
+    Args:
+        view: the frame.
+        known: the object.
+        mask: (H, W) bool at the size of the view.
+        rest: (4, 4) its last pose `camera_T_object`.
+        settings: thresholds.
+    """
+    around = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    looks = known.looks.find(view.frame, view.noise, settings.follow.looks, np.asarray(around))
+    starts = [] if looks is None else [looks]
+    inside = mask & view.frame.valid
+    facing = known.model.facing(rest)
+    if inside.any() and facing.any():
+        center = np.median(view.frame.points[inside].astype(np.float64), axis=0)
+        moved = rest.copy()
+        moved[:3, 3] += center - np.median(geometry.transform(rest, known.model.points[facing]), axis=0)
+        starts.append(moved)
+    return starts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -128,11 +129,15 @@ class FrameView:
 
     def is_better(self, model: SurfaceModel, given: Float64Array, other: Float64Array) -> bool:
         """Whether a pose (4, 4) `camera_T_object` explains the frame better than a given one; see `pose_costs`."""
+        return is_better(self.costs(model, (given, other)), self.settings.pose_cost)
+
+    def costs(self, model: SurfaceModel, poses: Sequence[Float64Array]) -> Float64Array:
+        """(K,) the cost of poses (4, 4) `camera_T_object`; see `pose_costs`.
+
+        The points that face the camera at the first pose are compared.
+        """
         settings = self.settings
-        costs = pose_costs(
-            self.target, self._source(model, given), (given, other), settings.registration, settings.pose_cost
-        )
-        return is_better(costs, settings.pose_cost)
+        return pose_costs(self.target, self._source(model, poses[0]), poses, settings.registration, settings.pose_cost)
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.

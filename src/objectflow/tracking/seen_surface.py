@@ -9,6 +9,7 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.typing import BoolMask, Float64Array, UInt8Array
 
 _BINS = (4, 16, 16)
@@ -40,3 +41,20 @@ def color_histogram(colors: UInt8Array) -> Float64Array:
     lab = cv2.cvtColor(colors.reshape(1, -1, 3), cv2.COLOR_RGB2LAB)
     counts, _ = np.histogramdd(lab[0].astype(np.float64), bins=_BINS, range=((0, 256), (64, 192), (64, 192)))
     return np.asarray(counts.ravel() / max(1.0, counts.sum()))
+
+
+def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:
+    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into.
+
+    Args:
+        a, b: the point sets.
+        camera: projects them.
+        cells: number of cells across the image width.
+    """
+    cell = camera.width / cells
+    footprints = []
+    for points in (a, b):
+        pixels = geometry.project(points[points[:, 2] > 0], camera)
+        footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
+    union = len(footprints[0] | footprints[1])
+    return len(footprints[0] & footprints[1]) / union if union else 0.0

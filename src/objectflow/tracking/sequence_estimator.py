@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,11 @@ from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.longer_gap import LongerEstimate, LongerGaps, add_found
+from objectflow.tracking.look_back import add_earlier_masks, add_earlier_poses
+from objectflow.tracking.merge_objects import MovedTogether, merge_into
 from objectflow.tracking.model_motion import PairViews
+from objectflow.tracking.recent_frames import RecentFrame, RecentViews, revised_frames
 from objectflow.tracking.running_noise import RunningNoise
 from objectflow.tracking.scene_cut import CutSettings, is_cut
 from objectflow.tracking.track import Track
@@ -40,6 +44,10 @@ class SequenceStep:
         known: (H, W) int32 label image of every object that has moved up to now, by track id, also at rest and half
             hidden; 0 elsewhere.
         followed: track ids of the objects that moved although `motion` lacks them, as their models show.
+        revised: `known` of earlier frames, by their times, in which objects were found later: an object that moved
+            for the first time is followed back, and one that comes apart is two objects in earlier frames too.
+        longer: an estimate between this frame and one before `prev`, where something changed that `motion` and the
+            known objects do not explain; None in most steps.
     """
 
     prev: RgbdFrame
@@ -49,6 +57,24 @@ class SequenceStep:
     tracks: Mapping[int, int]
     known: LabelImage
     followed: tuple[int, ...] = ()
+    revised: Mapping[float, LabelImage] = field(default_factory=dict)
+    longer: LongerEstimate | None = None
+
+
+class _Found(NamedTuple):
+    """What the recent frames show.
+
+    Attributes:
+        revised: their masks of known objects, by time, where these have changed.
+        longer: an estimate from one of them to the current frame.
+        moved: track ids of all objects that moved in the latest pair.
+        pieces: the id of each object that is a piece of an older one, and the id of that one.
+    """
+
+    revised: Mapping[float, LabelImage]
+    longer: LongerEstimate | None
+    moved: frozenset[int]
+    pieces: Mapping[int, int]
 
 
 class SequenceEstimator:
@@ -89,6 +115,9 @@ class SequenceEstimator:
         self.segmentation: LabelImage | None = None
         self._last: PreparedFrame | None = None
         self._time = 0.0
+        self._recent: tuple[RecentFrame, ...] = ()
+        self._longer_gaps = LongerGaps(self.known_objects.settings.longer_gap)
+        self._together = MovedTogether(self.known_objects.settings.merge)
 
     @property
     def tracks(self) -> list[Track]:
@@ -96,7 +125,11 @@ class SequenceEstimator:
         return self.tracker.tracks
 
     def update(
-        self, frame: RgbdFrame, time: float | None = None, motion: SceneMotion | None = None
+        self,
+        frame: RgbdFrame,
+        time: float | None = None,
+        motion: SceneMotion | None = None,
+        longer: LongerEstimate | None = None,
     ) -> SequenceStep | None:
         """Add the next frame.
 
@@ -106,6 +139,7 @@ class SequenceEstimator:
                 frame where it has none.
             motion: between the last frame and this one, where it is known already, as from an earlier run; None
                 estimates it.
+            longer: `SequenceStep.longer` of this frame, where it is known already.
 
         Returns:
             The result, or None for the first frame of a sequence.
@@ -120,6 +154,7 @@ class SequenceEstimator:
         prev, prev_time = self._last, self._time
         if prev is None:
             self._last, self._time = PreparedFrame.of(frame), time
+            self._remember(frame, time, np.zeros(frame.depth.shape, np.int32))
             return None
         # What the last estimate computed on its current frame is not computed again, nor are this estimate's matches.
         pair = FramePair(prev, frame, matching=getattr(self.estimator, "matching", MATCHING))
@@ -140,8 +175,13 @@ class SequenceEstimator:
         views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
         followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
         known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)
+        back = self._look_back(views, found, known, time, longer, {*tracks.values(), *followed})
+        followed = tuple(sorted(back.moved - set(tracks.values())))
+        tracks = {label: back.pieces.get(number, number) for label, number in tracks.items()}
         self._last, self._time, self.segmentation = pair.curr, time, known
-        return SequenceStep(prev.frame, frame, (prev_time, time), found, tracks, known, followed)
+        self._remember(frame, time, known)
+        times = prev_time, time
+        return SequenceStep(prev.frame, frame, times, found, tracks, known, followed, back.revised, back.longer)
 
     def cut(self) -> None:
         """Start a new world, as after a cut: the next frame is a first one, and objects get new ids.
@@ -151,6 +191,7 @@ class SequenceEstimator:
         self.tracker.reset()
         self.known_objects.objects = {}
         self._last = self.segmentation = None
+        self._recent = ()
 
     def state(self) -> dict[str, Any]:
         """Everything that later results depend on but the estimator; it can be pickled."""
@@ -160,6 +201,9 @@ class SequenceEstimator:
             "known_objects": self.known_objects,
             "noise": self.noise,
             "last": last,
+            "recent": self._recent,
+            "longer_gaps": self._longer_gaps,
+            "together": self._together,
             "time": self._time,
             "segmentation": self.segmentation,
         }
@@ -169,4 +213,63 @@ class SequenceEstimator:
         self.tracker, self.known_objects = state["tracker"], state["known_objects"]
         self.noise = state["noise"]
         self._last = None if state["last"] is None else PreparedFrame(state["last"])
+        self._recent, self._longer_gaps = state["recent"], state["longer_gaps"]
+        self._together = state["together"]
         self._time, self.segmentation = state["time"], state["segmentation"]
+
+    def _look_back(
+        self,
+        views: PairViews,
+        motion: SceneMotion,
+        known: LabelImage,
+        time: float,
+        given: LongerEstimate | None,
+        moved: Collection[int],
+    ) -> _Found:
+        """Search the recent frames for objects that have just been found, and for others; unite pieces of one.
+
+        Args:
+            views: the latest pair.
+            motion: its estimate.
+            known: (H, W) int32, to which the masks of found objects are added.
+            time: of the current frame.
+            given: the estimate between frames farther apart of an earlier run.
+            moved: track ids of the objects that moved in the pair.
+        """
+        if not self.tracker.world_T_camera:  # the camera is lost
+            self._recent = ()
+            return _Found({}, None, frozenset(), {})
+        settings, objects = self.known_objects.settings, self.known_objects
+        recent = RecentViews(self._recent, settings, views.curr.noise, views.prev)
+        tracks = {track.id: track for track in self.tracks}
+        for number, whole in objects.found.items():
+            if not whole:
+                add_earlier_poses(tracks[number], recent, settings.earlier)
+            add_earlier_masks(tracks[number], whole, recent, settings.earlier)
+        for number in sorted(objects.rested - set(objects.found)):
+            # The model has grown since the object was found.
+            add_earlier_masks(tracks[number], 0, recent, settings.earlier)
+        moving = np.isin(motion.labels, [obj.id for obj in motion.objects if obj.moving])
+        world_T_camera = self.tracker.world_T_camera[-1]
+        longer = self._longer_gaps.estimate(self.estimator, views, recent, (known > 0) | moving, world_T_camera, given)
+        added: tuple[int, ...] = ()
+        if longer is not None:
+            added = add_found(longer, objects, self.tracker, views, recent, known, time)
+            for track in self.tracks:
+                if track.id in added:
+                    add_earlier_masks(track, 0, recent, settings.earlier)
+        moved = {*moved, *(number for number in added if objects.objects[number].moved)}
+        pieces = self._together.update(objects.objects, moved)
+        for piece, older in pieces.items():
+            merge_into(objects.objects[older], objects.objects.pop(piece), settings.follow.looks.max_features)
+            self.tracker.merge(piece, older)
+            known[known == piece] = older
+            recent.rename(piece, older)
+        self._recent = revised_frames(self._recent, recent.revised)
+        return _Found(recent.revised, longer, frozenset(moved - set(pieces)), pieces)
+
+    def _remember(self, frame: RgbdFrame, time: float, known: LabelImage) -> None:
+        """Keep a frame for those in which an object may be found later."""
+        world_T_camera = self.tracker.world_T_camera[-1] if self.tracker.world_T_camera else np.eye(4)
+        recent = (*self._recent, RecentFrame(frame, time, world_T_camera, known))
+        self._recent = recent[-self.known_objects.settings.earlier.frames :]

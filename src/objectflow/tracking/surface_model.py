@@ -79,6 +79,18 @@ class SurfaceModel:
         )
         self._add(values, np.tile([1.0, 0.0, 0.0], (len(values), 1)))
 
+    def add(self, other: SurfaceModel, own_T_other: Float64Array) -> None:
+        """Add the voxels of another model.
+
+        Args:
+            other: the model.
+            own_T_other: (4, 4) from its frame to that of this one.
+        """
+        counts = other._counts[:, :1]
+        points = geometry.transform(own_T_other, other.points) * counts
+        normals = other._sums[:, _NORMAL] @ own_T_other[:3, :3].T
+        self._add(np.concatenate([points, normals, other._sums[:, _COLOR]], axis=1), other._counts)
+
     def count(self, kept: BoolMask, missed: BoolMask) -> None:
         """Count which voxels moved with the object, and remove those that were missed more often than kept.
 
@@ -172,6 +184,22 @@ class SurfaceModel:
     def _key(self, points: Float64Array) -> Int64Array:
         cells = np.clip(np.floor(points / self.voxel).astype(np.int64), -_REACH + 1, _REACH - 1) + _REACH
         return np.asarray((cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2])
+
+
+def new_model(frame: PreparedFrame, mask: BoolMask, camera_T_object: Float64Array, max_points: int) -> SurfaceModel:
+    """A model of the surface in a mask, with voxels that suit its distance.
+
+    Args:
+        frame: provides points, normals and colours.
+        mask: (H, W) bool, with depth at one pixel at least.
+        camera_T_object: (4, 4) the object's pose.
+        max_points: maximum number of voxels.
+    """
+    depth = float(np.median(frame.frame.depth[mask & frame.valid]))
+    # Two pixels: at one, noise would spread a surface over several voxels.
+    model = SurfaceModel(2 * depth / frame.frame.camera.fx, max_points)
+    model.integrate(frame, mask, camera_T_object)
+    return model
 
 
 def _splat(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +33,7 @@ class Track:
         gaps: times at which the object was seen to move, but with a score too low for a pose.
         model: the accumulated surface in the object frame, which a `SequenceEstimator` fuses; otherwise None.
         world_T_camera: (4, 4) the camera in the latest frame of the track's world.
+        merged: ids of tracks that ended because their objects are pieces of this one.
     """
 
     id: int
@@ -42,12 +44,26 @@ class Track:
     gaps: list[float] = field(default_factory=list)
     model: SurfaceModel | None = None
     world_T_camera: Float64Array = field(default_factory=lambda: np.eye(4))
+    merged: list[int] = field(default_factory=list)
 
     @property
     def confidence(self) -> float:
         """Mean score of the steps in which the object was seen to move, 0..1; a gap counts as 0."""
         seen = [score for label, score in zip(self.labels, self.scores, strict=True) if label]
         return float(sum(seen) / max(1, len(seen) + len(self.gaps)))
+
+    def prepend(self, times: Sequence[float], world_T_object: Sequence[Float64Array], scores: Sequence[float]) -> None:
+        """Add poses before the first one, which only the model shows.
+
+        Args:
+            times: rising, before the first time of the track.
+            world_T_object: (4, 4) at each time.
+            scores: of each pose.
+        """
+        self.times[:0] = times
+        self.world_T_object[:0] = world_T_object
+        self.labels[:0] = [0] * len(times)
+        self.scores[:0] = scores
 
     def points(
         self,

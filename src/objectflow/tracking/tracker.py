@@ -6,7 +6,7 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,36 +18,11 @@ from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.settings import Settings, setting
 from objectflow.tracking.evidence import Evidence
-from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
+from objectflow.tracking.seen_surface import SeenSurface, color_histogram, footprint_overlap, seen_surface
 from objectflow.tracking.track import Track
-from objectflow.typing import Float64Array
-
-
-@dataclass(frozen=True)
-class TrackerSettings(Settings):
-    """Thresholds of the association."""
-
-    min_overlap: float = setting(0.1, minimum=0, maximum=1)
-    """Minimum intersection over union of two footprints."""
-    max_gap: float = setting(0.1, minimum=0)
-    """Metres: largest difference of two surfaces' median depths."""
-    min_score: float = setting(0.3, minimum=0, maximum=1)
-    """Objects with a lower score, such as regions that no motion explains, get no track."""
-    min_color_similarity: float = setting(0.35, minimum=0, maximum=1)
-    """Minimum Bhattacharyya coefficient of two surfaces' colours: a neighbour does not take over the id of an object
-    that left."""
-    coast: int = setting(3, minimum=0)
-    """Number of pairs for which a lost track is also searched at the position its last motion predicts."""
-    max_age: int = setting(300, minimum=0)
-    """Number of pairs without an association after which a track ends. Objects at rest have none."""
-    history: int | None = setting(None, minimum=1)
-    """Number of poses kept per track and for the camera; None keeps all poses and ended tracks."""
-    footprint_cells: int = setting(64, minimum=1)
-    """Number of grid cells across the image width for footprints: fine enough for a cup, coarse for sparse points."""
-    max_points: int = setting(600, minimum=1)
-    """Maximum number of surface points stored per track."""
+from objectflow.tracking.tracker_settings import TrackerSettings
+from objectflow.typing import Float64Array, UInt8Array
 
 
 @dataclass(eq=False)
@@ -133,7 +108,8 @@ class Tracker:
         refused = None if evidence is None else partial(self._is_refused, world_T_prev, world_T_curr, evidence)
         links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
         found: dict[int, int] = {}
-        for (obj, surface), number in zip(known, links, strict=True):
+        # Pieces of an object are recognised once the object has its new pose.
+        for (obj, surface), number in sorted(zip(known, links, strict=True), key=lambda link: link[1] is None):
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
             if obj.score < self.settings.min_score:
@@ -145,6 +121,11 @@ class Tracker:
                     continue
             again = None
             if number is None and evidence is not None:
+                whole = evidence.contains(obj, self._steps(found.values(), world_T_prev, world_T_curr))
+                if whole is not None:
+                    self._add_piece(whole, geometry.transform(world_T_curr, surface.points))
+                    found[obj.id] = whole
+                    continue
                 again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
             track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
             pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
@@ -194,15 +175,50 @@ class Tracker:
         """
         whole = self._tracks[number]
         count = len(whole.times) - 1
-        labels = [0] * count
-        track = Track(self._next, whole.times[:count], whole.world_T_object[:count], labels, whole.scores[:count])
-        track.world_T_camera = whole.world_T_camera
+        track = self.start(whole.times[:count], whole.world_T_object[:count], whole.scores[:count], points, colors)
+        self._states[track.id].world_step, self._states[track.id].age = np.eye(4), 1
+        return track
+
+    def start(
+        self,
+        times: Sequence[float],
+        world_T_object: Sequence[Float64Array],
+        scores: Sequence[float],
+        points: Float64Array,
+        colors: Float64Array | UInt8Array,
+    ) -> Track:
+        """A new track of an object that the estimate of the latest pair lacks.
+
+        Args:
+            times: rising, two at least.
+            world_T_object: (4, 4) at each time.
+            scores: of each pose, 0..1.
+            points: (N, 3) metres in the world: its surface at the last time.
+            colors: (N, 3) its colours, RGB, 0..255.
+        """
+        track = Track(self._next, list(times), list(world_T_object), [0] * len(times), list(scores))
+        track.world_T_camera = self.world_T_camera[-1]
         self._tracks[track.id] = track
         self._next += 1
         pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
         histogram = color_histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
-        self._states[track.id] = _LastState(points[pick], histogram, np.eye(4), 1)
+        step = world_T_object[-1] @ geometry.inverse(world_T_object[-2]) if len(times) > 1 else np.eye(4)
+        self._states[track.id] = _LastState(points[pick], histogram, step)
         return track
+
+    def merge(self, number: int, into: int) -> None:
+        """End a track whose object is a piece of another one, whose track then continues for both.
+
+        Args:
+            number, into: of the track that ends, and of the older one.
+        """
+        track, state = self._tracks.pop(number), self._states.pop(number)
+        older = self._tracks[into]
+        older.merged = sorted({*older.merged, number, *track.merged})
+        # The labels of one piece are not those of the whole.
+        both = {time for time, label in zip(track.times, track.labels, strict=True) if label}
+        older.labels = [0 if time in both else label for time, label in zip(older.times, older.labels, strict=True)]
+        self._add_piece(into, state.points)
 
     def keep(self, numbers: Iterable[int]) -> None:
         """Let tracks of objects that are seen at rest not end."""
@@ -250,6 +266,21 @@ class Tracker:
         world_T_object = self._tracks[number].world_T_object[-1]
         before = geometry.inverse(world_T_curr) @ world_T_object
         return before, geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev) @ world_T_object
+
+    def _steps(
+        self, numbers: Iterable[int], world_T_prev: Float64Array, world_T_curr: Float64Array
+    ) -> dict[int, tuple[Float64Array, Float64Array]]:
+        """Poses `camera_T_object` of tracks in both frames of the latest pair."""
+        cameras = geometry.inverse(world_T_prev), geometry.inverse(world_T_curr)
+        poses = {number: self._tracks[number].world_T_object[-2:] for number in numbers}
+        return {number: (cameras[0] @ both[0], cameras[1] @ both[-1]) for number, both in poses.items()}
+
+    def _add_piece(self, number: int, points: Float64Array) -> None:
+        """Add surface (N, 3), in the world, of another object of the pair to a track that has moved in the pair."""
+        self._tracks[number].labels[-1] = 0  # no label of the pair is that of the whole
+        state = self._states[number]
+        both = np.concatenate([state.points, points])
+        state.points = both[np.linspace(0, len(both) - 1, min(len(both), self.settings.max_points)).astype(int)]
 
     def _is_refused(
         self,
@@ -367,20 +398,3 @@ def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64
     if not motion.camera_known:
         return None
     return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion
-
-
-def footprint_overlap(a: Float64Array, b: Float64Array, camera: Camera, cells: int) -> float:
-    """Intersection over union of the grid cells that two point sets (N, 3), camera frame, project into.
-
-    Args:
-        a, b: the point sets.
-        camera: projects them.
-        cells: number of cells across the image width.
-    """
-    cell = camera.width / cells
-    footprints = []
-    for points in (a, b):
-        pixels = geometry.project(points[points[:, 2] > 0], camera)
-        footprints.append({tuple(index) for index in np.floor((pixels + 0.5) / cell).astype(int).tolist()})
-    union = len(footprints[0] | footprints[1])
-    return len(footprints[0] & footprints[1]) / union if union else 0.0

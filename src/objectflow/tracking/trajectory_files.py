@@ -64,5 +64,6 @@ def _to_dict(track: Track) -> dict[str, Any]:
         "labels": track.labels,
         "scores": track.scores,
         "gaps": track.gaps,
+        "merged": track.merged,
         "world_T_object": [pose.tolist() for pose in track.world_T_object],
     }
