@@ -17,7 +17,7 @@ def turn_frame(frame: RgbdFrame, quarters: int) -> RgbdFrame:
     for _ in range(quarters % 4):
         old = frame.camera
         camera = Camera(width=old.height, height=old.width, fx=old.fy, fy=old.fx, cx=old.cy, cy=old.width - 1 - old.cx)
-        color, depth = (np.ascontiguousarray(np.rot90(image)) for image in (frame.color, frame.depth))
+        color, depth = np.ascontiguousarray(np.rot90(frame.color)), np.ascontiguousarray(np.rot90(frame.depth))
         frame = RgbdFrame(color=color, depth=depth, camera=camera)
     return frame
 

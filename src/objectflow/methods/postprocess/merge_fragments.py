@@ -99,7 +99,7 @@ def _near(likelihood: PairLikelihood, one: BoolMask, other: BoolMask, settings: 
     points, others = (likelihood.points[mask].astype(np.float64) for mask in (one, other))
     points, others = (some[:: 1 + len(some) // settings.max_points] for some in (points, others))
     size = float(np.linalg.norm(np.ptp(others, axis=0)))
-    gap = float(cKDTree(others).query(points)[0].min())
+    gap = float(np.min(cKDTree(others).query(points)[0]))
     return gap < settings.max_gap_ratio * size
 
 
