@@ -51,8 +51,8 @@ FAULTS: list[Read] = [
     lambda: _raise(ReaderError("ours")),
     lambda: _raise(KeyError("op")),
     lambda: os.write(1, b"chatter"),  # below pytest, which replaces sys.stdout
-    lambda: bytearray(200 << 20),
-    lambda: bytearray(100 << 20),  # less than the peak of the input before
+    lambda: bytearray(400 << 20),  # more than commands keep of what they free, so that the process grows
+    lambda: bytearray(300 << 20),  # less than the peak of the input before
     lambda: _raise(ReaderError("x: not enough memory")),
     lambda: os._exit(9),
 ]
