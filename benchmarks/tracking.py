@@ -199,6 +199,11 @@ def add_sequence(score: Score, frames: Sequence[SequenceRow], results: Iterator[
     score.tracks += len(tracker.tracks)
 
 
+def camera_pose(row: SequenceRow) -> Float64Array:
+    """(4, 4) `world_T_camera`; the world is the camera of the sequence's first frame."""
+    return np.eye(4) if row.world_T_camera is None else row.world_T_camera
+
+
 def best_match(mask: BoolMask, labels: LabelImage, links: Mapping[int, int]) -> int | None:
     """The track whose object has the largest IoU with a true mask, if it reaches the minimum."""
     best, track_id = MIN_IOU, None
