@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -129,6 +130,28 @@ def test_expected_displacement_of_certain_matches_is_the_match() -> None:
     torch.testing.assert_close(found[0, :3, 4, 6], around - curr[0, :3, 4, 6])
     nothing = expected_displacement(correlation, torch.zeros_like(prev), curr, reach)
     assert not nothing.any()
+
+
+def test_a_window_leaves_other_candidates_out_of_the_expected_displacement() -> None:
+    """With two distant candidates, the window's mean is the likelier one, and the whole patch's lies between them."""
+    generator = torch.Generator().manual_seed(4)
+    reach, height, width = 3, 7, 7
+    prev, curr = (
+        torch.cat([torch.rand(1, 3, height, width, generator=generator), torch.ones(1, 1, height, width)], 1)
+        for _ in range(2)
+    )
+    correlation = torch.full((1, 49, height, width), -80.0)
+    likely = {(1, 1): 0.5, (1, 2): 0.125, (6, 5): 0.375}  # cells of the previous frame, seen from cell (3, 3)
+    for (row, column), probability in likely.items():
+        correlation[0, (row - 3 + reach) * 7 + column - 3 + reach, 3, 3] = math.log(probability)
+    found = expected_displacement(correlation, prev, curr, reach, window=1)[0, :, 3, 3]
+    near = (0.5 * prev[0, :3, 1, 1] + 0.125 * prev[0, :3, 1, 2]) / 0.625
+    torch.testing.assert_close(found[:3], near - curr[0, :3, 3, 3])
+    torch.testing.assert_close(found[3], torch.tensor(0.625))
+    everywhere = expected_displacement(correlation, prev, curr, reach)[0, :, 3, 3]
+    mean = sum(probability * prev[0, :3, row, column] for (row, column), probability in likely.items())
+    torch.testing.assert_close(everywhere[:3], mean - curr[0, :3, 3, 3])
+    torch.testing.assert_close(everywhere[3], torch.tensor(0.5))
 
 
 def test_maps_are_in_metres_for_any_length_unit() -> None:

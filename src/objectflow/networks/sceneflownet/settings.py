@@ -56,6 +56,10 @@ class NetworkSettings:
     displacement: bool = False
     """Pass each cell's expected displacement under the softmax of its correlations, and the highest probability, to
     the hourglass, which in the paper receives pooled features only. Ignored without correlation."""
+    displacement_window: int = 0
+    """Cells: the expected displacement is the mean over the window of so many cells around the most probable one, and
+    its probability that of the window. 0 takes the whole patch, whose mean lies far from every candidate where the
+    correlation has several maxima."""
     length_unit: float = 1.0
     """Metres: unit of the encoders' points and of the heads. In metres, points within an object hardly differ, and a
     step of a head's weights changes its output by centimetres; 0.1 makes both easier to learn."""
@@ -83,6 +87,10 @@ class NetworkSettings:
             raise MethodError(f"network setting origin_depth must be finite, not {self.origin_depth}")
         if not 0 <= self.reach <= MAX_REACH:
             raise MethodError(f"network setting reach must lie in 0..{MAX_REACH}, not {self.reach}")
+        if not 0 <= self.displacement_window <= MAX_REACH:
+            raise MethodError(
+                f"network setting displacement_window must lie in 0..{MAX_REACH}, not {self.displacement_window}"
+            )
         if self.xfeat and not self.correlation_cosine:
             raise MethodError("network setting xfeat needs correlation_cosine: cosines are added to cosines")
         blocks = self.trunk_blocks
