@@ -13,6 +13,8 @@ from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
+from objectflow.networks.sceneflownet.local_motion import CHANNELS as _LOCAL_MOTION_CHANNELS
+from objectflow.networks.sceneflownet.local_motion import local_motion
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.xfeat import XFeat, sample_cells
@@ -53,6 +55,7 @@ class SceneFlowNet(nn.Module):
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
             self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
             extra = _DISPLACEMENT_CHANNELS if self.settings.displacement else 0
+            extra += _LOCAL_MOTION_CHANNELS if self.settings.local_motion_window else 0
             self.hourglass = Hourglass(3 * shape_channels + extra, self.settings)
         else:
             self.color_encoder = None
@@ -151,8 +154,21 @@ class SceneFlowNet(nn.Module):
         if self.settings.displacement:
             prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
             window = self.settings.displacement_window
-            parts.append(expected_displacement(correlation, prev_cells, curr_cells, reach, window=window))
+            displacement = expected_displacement(correlation, prev_cells, curr_cells, reach, window=window)
+            parts.append(displacement)
+            if self.settings.local_motion_window:
+                parts.append(self._local_motion(displacement, curr_cells))
         return torch.cat(parts, dim=1), correlation
+
+    def _local_motion(self, displacement: Tensor, curr_cells: Tensor) -> Tensor:
+        settings = self.settings
+        return local_motion(
+            displacement,
+            curr_cells,
+            window=settings.local_motion_window,
+            scale=settings.local_motion_scale / settings.length_unit,
+            tolerance=settings.local_motion_tolerance / settings.length_unit,
+        )
 
 
 def expected_displacement(
