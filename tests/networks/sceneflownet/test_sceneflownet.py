@@ -46,7 +46,14 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(
     correlation: bool, details: bool, cosine: bool, height: int, width: int
 ) -> None:
     network = _network(
-        correlation=correlation, details=details, correlation_cosine=cosine, displacement=cosine, length_unit=0.1
+        correlation=correlation,
+        details=details,
+        correlation_cosine=cosine,
+        match_blocks=2 if cosine else 0,
+        displacement=cosine,
+        displacement_window=1,
+        local_motion_window=2 if cosine else 0,
+        length_unit=0.1,
     )
     for parameter in network.parameters():  # residual blocks start as their shortcuts: activate the other layers
         if not parameter.any():
@@ -200,6 +207,24 @@ def test_xfeat_adds_its_scaled_cosines(height: int, width: int) -> None:
         torch.testing.assert_close(added[:, k], 10 * (curr * moved).sum(1), atol=1e-4, rtol=1e-4)
 
 
+def test_match_features_start_as_those_of_colour_and_add_a_prior() -> None:
+    """Without shape, and with blocks that still are identities, only the prior changes the correlation."""
+    plain = _network(correlation_cosine=True).eval()
+    joined = _network(correlation_cosine=True, match_blocks=2).eval()
+    joined.load_state_dict({**joined.state_dict(), **plain.state_dict()})
+    frames = _frames(48, 64)
+    with torch.no_grad():
+        joined.match_features.shape.weight.zero_()
+        prior = torch.linspace(-1, 1, (2 * SMALL.reach + 1) ** 2)
+        joined.match_features.prior.copy_(prior)
+        added = joined.predict(*frames)[1] - plain.predict(*frames)[1]
+        torch.testing.assert_close(added, prior[:, None, None].expand_as(added), atol=1e-4, rtol=0)
+        # With weights, points matter: a frame nearer to the camera has other features.
+        torch.nn.init.constant_(joined.match_features.shape.weight, 0.1)
+        moved = [*frames[:3], frames[3] - 0.2]
+        assert (joined.predict(*moved)[1] - joined.predict(*frames)[1]).abs().max() > 1e-3
+
+
 def test_images_may_be_padded_before_the_network() -> None:
     network = _network().eval()
     frames = _frames(33, 50)
@@ -265,6 +290,13 @@ def test_settings_go_through_json() -> None:
         ({"fine": [[64], [], [3]]}, "stage without layers"),
         ({"trunk_norm": "group"}, "trunk_norm must be batch or frozen"),
         ({"xfeat": True}, "xfeat needs correlation_cosine"),
+        ({"match_blocks": 2}, "match_blocks needs correlation_cosine"),
+        ({"match_blocks": -1}, "match_blocks must lie in 0..[0-9]+, not -1"),
+        ({"displacement_window": 65}, "displacement_window must lie in 0..64, not 65"),
+        ({"local_motion_window": 3}, "local_motion_window needs displacement"),
+        ({"local_motion_window": -1}, "local_motion_window must lie in 0..64, not -1"),
+        ({"local_motion_scale": 0.0}, "local_motion_scale must be finite and above 0"),
+        ({"local_motion_tolerance": float("nan")}, "local_motion_tolerance must be finite and above 0"),
         ({"missing": "masked"}, "missing is 'masked', which this version no longer implements: it needs 'channel'"),
         ({"correlation_mean": True}, "correlation_mean is True, which this version no longer implements"),
     ],

@@ -15,6 +15,7 @@ from objectflow.networks.sceneflownet.correlation import correlate, weighted_max
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
 from objectflow.networks.sceneflownet.local_motion import CHANNELS as _LOCAL_MOTION_CHANNELS
 from objectflow.networks.sceneflownet.local_motion import local_motion
+from objectflow.networks.sceneflownet.match_features import ContextBlock, MatchFeatures
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.xfeat import XFeat, sample_cells
@@ -51,6 +52,12 @@ class SceneFlowNet(nn.Module):
         self.xfeat_sharpness = None if self.xfeat is None else nn.Parameter(torch.tensor(_INITIAL_XFEAT_SHARPNESS))
         """Logarithm of the factor of XFeat's cosines."""
         shape_channels = self.settings.shape_stages[-1][-1]
+        self.match_features = None
+        """Makes the features that are correlated; without it, they are the colour's."""
+        if cosine and self.settings.match_blocks:
+            self.match_features = MatchFeatures(
+                self.settings.color_channels, shape_channels, self.settings.match_blocks, self.settings.reach
+            )
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
             self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
@@ -139,10 +146,17 @@ class SceneFlowNet(nn.Module):
         # The encoders are Siamese: both frames form one batch.
         curr_features, prev_features = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
         curr_geometry, prev_geometry = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
+        prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
         reach = self.settings.reach
         if self.sharpness is not None:
-            curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
+            if self.match_features is None:
+                curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
+            else:
+                curr_features = self.match_features(curr_features, curr_geometry, curr_cells)
+                prev_features = self.match_features(prev_features, prev_geometry, prev_cells)
             correlation = correlate(curr_features, prev_features, reach) * self.sharpness.exp()
+            if self.match_features is not None:
+                correlation = correlation + self.match_features.prior[:, None, None]
             if descriptors is not None and self.xfeat_sharpness is not None:
                 factor = self.xfeat_sharpness.clamp(max=_LARGEST_XFEAT_SHARPNESS).exp()
                 correlation = correlation + correlate(*descriptors, reach) * factor
@@ -152,7 +166,6 @@ class SceneFlowNet(nn.Module):
             weights = torch.relu(correlation)
         parts = [curr_geometry, prev_geometry, weighted_max_pool(weights, prev_geometry, reach)]
         if self.settings.displacement:
-            prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
             window = self.settings.displacement_window
             displacement = expected_displacement(correlation, prev_cells, curr_cells, reach, window=window)
             parts.append(displacement)
@@ -276,6 +289,8 @@ def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
             if isinstance(module, Heads):
                 for parameter in module.parameters():
                     parameter.mul_(0.01)
+            elif isinstance(module, ContextBlock):
+                module.second.weight.zero_()
             elif isinstance(module, Bottleneck):
                 module.bn3.weight.zero_()  # every block starts as its shortcut (Goyal et al. 2017)
             elif isinstance(module, ColorEncoder):
