@@ -207,22 +207,22 @@ def test_xfeat_adds_its_scaled_cosines(height: int, width: int) -> None:
         torch.testing.assert_close(added[:, k], 10 * (curr * moved).sum(1), atol=1e-4, rtol=1e-4)
 
 
-def test_match_features_start_as_those_of_colour_and_add_a_prior() -> None:
-    """Without shape, and with blocks that still are identities, only the prior changes the correlation."""
+def test_context_blocks_start_as_identities_and_see_their_surroundings() -> None:
     plain = _network(correlation_cosine=True).eval()
-    joined = _network(correlation_cosine=True, match_blocks=2).eval()
-    joined.load_state_dict({**joined.state_dict(), **plain.state_dict()})
-    frames = _frames(48, 64)
+    wide = _network(correlation_cosine=True, match_blocks=2).eval()
+    wide.load_state_dict({**wide.state_dict(), **plain.state_dict()})
+    features = torch.rand(1, SMALL.color_channels, 9, 9, generator=torch.Generator().manual_seed(7))
     with torch.no_grad():
-        joined.match_features.shape.weight.zero_()
-        prior = torch.linspace(-1, 1, (2 * SMALL.reach + 1) ** 2)
-        joined.match_features.prior.copy_(prior)
-        added = joined.predict(*frames)[1] - plain.predict(*frames)[1]
-        torch.testing.assert_close(added, prior[:, None, None].expand_as(added), atol=1e-4, rtol=0)
-        # With weights, points matter: a frame nearer to the camera has other features.
-        torch.nn.init.constant_(joined.match_features.shape.weight, 0.1)
-        moved = [*frames[:3], frames[3] - 0.2]
-        assert (joined.predict(*moved)[1] - joined.predict(*frames)[1]).abs().max() > 1e-3
+        torch.testing.assert_close(wide.predict(*_frames(48, 64))[1], plain.predict(*_frames(48, 64))[1])
+        for block in wide.match_context:
+            torch.nn.init.constant_(block.second.weight, 0.1)
+        other = features.clone()
+        other[..., 0, 0] += 1
+        changed = (wide.match_context(other) - wide.match_context(features)).abs().amax(1)[0] > 0
+    # Two blocks of two 3x3 layers reach four cells.
+    assert changed[:5, :5].any(0).all()
+    assert not changed[5:].any()
+    assert not changed[:, 5:].any()
 
 
 def test_images_may_be_padded_before_the_network() -> None:

@@ -120,4 +120,5 @@ def _rotation_vector(quaternion: Tensor) -> Tensor:
     """(N, 4) unit quaternions with a real part >= 0 -> (N, 3) radians."""
     sine = quaternion[:, 1:].norm(dim=1, keepdim=True)
     angle = 2 * torch.atan2(sine, quaternion[:, :1])
-    return torch.where(sine > 1e-8, angle / sine.clamp_min(1e-8), 2.0) * quaternion[:, 1:]
+    factor: Tensor = torch.where(sine > 1e-8, angle / sine.clamp_min(1e-8), 2.0)
+    return factor * quaternion[:, 1:]

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 
 from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
+from objectflow.networks.sceneflownet.context_block import ContextBlock
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
 from objectflow.networks.sceneflownet.local_motion import CHANNELS as _LOCAL_MOTION_CHANNELS
 from objectflow.networks.sceneflownet.local_motion import local_motion
-from objectflow.networks.sceneflownet.match_features import ContextBlock, MatchFeatures
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.xfeat import XFeat, sample_cells
@@ -52,12 +52,9 @@ class SceneFlowNet(nn.Module):
         self.xfeat_sharpness = None if self.xfeat is None else nn.Parameter(torch.tensor(_INITIAL_XFEAT_SHARPNESS))
         """Logarithm of the factor of XFeat's cosines."""
         shape_channels = self.settings.shape_stages[-1][-1]
-        self.match_features = None
-        """Makes the features that are correlated; without it, they are the colour's."""
-        if cosine and self.settings.match_blocks:
-            self.match_features = MatchFeatures(
-                self.settings.color_channels, shape_channels, self.settings.match_blocks, self.settings.reach
-            )
+        blocks = self.settings.match_blocks if cosine else 0
+        self.match_context = nn.Sequential(*(ContextBlock(self.settings.color_channels) for _ in range(blocks)))
+        """Blocks between the colour encoder and the correlation."""
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
             self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
@@ -149,14 +146,10 @@ class SceneFlowNet(nn.Module):
         prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
         reach = self.settings.reach
         if self.sharpness is not None:
-            if self.match_features is None:
-                curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
-            else:
-                curr_features = self.match_features(curr_features, curr_geometry, curr_cells)
-                prev_features = self.match_features(prev_features, prev_geometry, prev_cells)
+            curr_features, prev_features = (
+                F.normalize(self.match_context(features), dim=1) for features in (curr_features, prev_features)
+            )
             correlation = correlate(curr_features, prev_features, reach) * self.sharpness.exp()
-            if self.match_features is not None:
-                correlation = correlation + self.match_features.prior[:, None, None]
             if descriptors is not None and self.xfeat_sharpness is not None:
                 factor = self.xfeat_sharpness.clamp(max=_LARGEST_XFEAT_SHARPNESS).exp()
                 correlation = correlation + correlate(*descriptors, reach) * factor
