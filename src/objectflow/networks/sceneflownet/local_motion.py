@@ -113,7 +113,8 @@ def _turn(quaternion: Tensor, vector: Tensor) -> Tensor:
     """Rotate vectors (N, 3) by unit quaternions (N, 4)."""
     real, axis = quaternion[:, :1], quaternion[:, 1:]
     twice = 2 * torch.linalg.cross(axis, vector)
-    return vector + real * twice + torch.linalg.cross(axis, twice)
+    turned: Tensor = vector + real * twice + torch.linalg.cross(axis, twice)
+    return turned
 
 
 def _rotation_vector(quaternion: Tensor) -> Tensor:
