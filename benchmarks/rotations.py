@@ -55,6 +55,8 @@ class Settings:
     """Number of pairs."""
     size: tuple[int, int] = (216, 288)
     """Height and width of the network's input."""
+    window: int | None = None
+    """Window of the expected displacement, cells; 0 is the whole patch, None the weights' own setting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +86,7 @@ def angle_between(a: Float64Array, b: Float64Array) -> float:
 
 
 def rows_of(
-    network: SceneFlowNet, prev: RgbdFrame, curr: RgbdFrame, truth: PairTruth, labels: LabelImage
+    network: SceneFlowNet, prev: RgbdFrame, curr: RgbdFrame, truth: PairTruth, labels: LabelImage, window: int | None
 ) -> list[Row]:
     """The objects of a pair whose rotation is known and unambiguous."""
     device = torch.device("cpu")
@@ -94,8 +96,9 @@ def rows_of(
         if correlation is None:
             raise SystemExit("a network without correlation")
         settings = network.settings
+        window = settings.displacement_window if window is None else window
         displacement = expected_displacement(
-            correlation, cells_of(prev), cells_of(curr), settings.reach, window=settings.displacement_window
+            correlation, cells_of(prev), cells_of(curr), settings.reach, window=window
         )
         local = local_motion(
             displacement,
@@ -143,7 +146,7 @@ def main(settings: Settings) -> None:
             pair = pairs.pair(key)
             labels = resize_nearest(pair.truth.labels, settings.size)
             prev, curr = (frame.resized(width, height) for frame in (pair.prev, pair.curr))
-            rows += rows_of(network.eval(), prev, curr, pair.truth, labels)
+            rows += rows_of(network.eval(), prev, curr, pair.truth, labels, settings.window)
         names = (
             "rotation, deg",
             "error, deg",
