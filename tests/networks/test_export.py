@@ -41,7 +41,6 @@ def network(**changes: Any) -> SceneFlowNet:
                 "displacement": True,
                 "displacement_window": 1,
                 "local_motion_window": 1,
-                "match_blocks": 1,
             },
             (40, 48),
         ),

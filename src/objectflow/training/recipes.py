@@ -25,7 +25,6 @@ _FAST = dataclasses.replace(
 
 _FAST_NARROW = dataclasses.replace(
     _FAST.scaled(0.5),
-    match_blocks=3,
     trunk_width=16,
     trunk_blocks=(1, 2),
     color_channels=64,

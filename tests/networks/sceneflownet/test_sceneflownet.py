@@ -49,7 +49,6 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(
         correlation=correlation,
         details=details,
         correlation_cosine=cosine,
-        match_blocks=2 if cosine else 0,
         displacement=cosine,
         displacement_window=1,
         local_motion_window=2 if cosine else 0,
@@ -207,24 +206,6 @@ def test_xfeat_adds_its_scaled_cosines(height: int, width: int) -> None:
         torch.testing.assert_close(added[:, k], 10 * (curr * moved).sum(1), atol=1e-4, rtol=1e-4)
 
 
-def test_context_blocks_start_as_identities_and_see_their_surroundings() -> None:
-    plain = _network(correlation_cosine=True).eval()
-    wide = _network(correlation_cosine=True, match_blocks=2).eval()
-    wide.load_state_dict({**wide.state_dict(), **plain.state_dict()})
-    features = torch.rand(1, SMALL.color_channels, 9, 9, generator=torch.Generator().manual_seed(7))
-    with torch.no_grad():
-        torch.testing.assert_close(wide.predict(*_frames(48, 64))[1], plain.predict(*_frames(48, 64))[1])
-        for block in wide.match_context:
-            torch.nn.init.constant_(block.second.weight, 0.1)
-        other = features.clone()
-        other[..., 0, 0] += 1
-        changed = (wide.match_context(other) - wide.match_context(features)).abs().amax(1)[0] > 0
-    # Two blocks of two 3x3 layers reach four cells.
-    assert changed[:5, :5].any(0).all()
-    assert not changed[5:].any()
-    assert not changed[:, 5:].any()
-
-
 def test_images_may_be_padded_before_the_network() -> None:
     network = _network().eval()
     frames = _frames(33, 50)
@@ -290,8 +271,6 @@ def test_settings_go_through_json() -> None:
         ({"fine": [[64], [], [3]]}, "stage without layers"),
         ({"trunk_norm": "group"}, "trunk_norm must be batch or frozen"),
         ({"xfeat": True}, "xfeat needs correlation_cosine"),
-        ({"match_blocks": 2}, "match_blocks needs correlation_cosine"),
-        ({"match_blocks": -1}, "match_blocks must lie in 0..[0-9]+, not -1"),
         ({"displacement_window": 65}, "displacement_window must lie in 0..64, not 65"),
         ({"local_motion_window": 3}, "local_motion_window needs displacement"),
         ({"local_motion_window": -1}, "local_motion_window must lie in 0..64, not -1"),

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 
 from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
-from objectflow.networks.sceneflownet.context_block import ContextBlock
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
 from objectflow.networks.sceneflownet.local_motion import CHANNELS as _LOCAL_MOTION_CHANNELS
@@ -52,9 +51,6 @@ class SceneFlowNet(nn.Module):
         self.xfeat_sharpness = None if self.xfeat is None else nn.Parameter(torch.tensor(_INITIAL_XFEAT_SHARPNESS))
         """Logarithm of the factor of XFeat's cosines."""
         shape_channels = self.settings.shape_stages[-1][-1]
-        blocks = self.settings.match_blocks if cosine else 0
-        self.match_context = nn.Sequential(*(ContextBlock(self.settings.color_channels) for _ in range(blocks)))
-        """Blocks between the colour encoder and the correlation."""
         if self.settings.correlation:
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
             self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
@@ -146,9 +142,7 @@ class SceneFlowNet(nn.Module):
         prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
         reach = self.settings.reach
         if self.sharpness is not None:
-            curr_features, prev_features = (
-                F.normalize(self.match_context(features), dim=1) for features in (curr_features, prev_features)
-            )
+            curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
             correlation = correlate(curr_features, prev_features, reach) * self.sharpness.exp()
             if descriptors is not None and self.xfeat_sharpness is not None:
                 factor = self.xfeat_sharpness.clamp(max=_LARGEST_XFEAT_SHARPNESS).exp()
@@ -282,8 +276,6 @@ def _initialise(network: nn.Module, generator: torch.Generator | None) -> None:
             if isinstance(module, Heads):
                 for parameter in module.parameters():
                     parameter.mul_(0.01)
-            elif isinstance(module, ContextBlock):
-                module.second.weight.zero_()
             elif isinstance(module, Bottleneck):
                 module.bn3.weight.zero_()  # every block starts as its shortcut (Goyal et al. 2017)
             elif isinstance(module, ColorEncoder):

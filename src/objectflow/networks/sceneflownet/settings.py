@@ -53,9 +53,6 @@ class NetworkSettings:
     xfeat: bool = False
     """Add the scaled cosines of frozen XFeat features (Potje et al., CVPR 2024) to the correlation, unlike the paper,
     whose colour trunk starts from ImageNet's weights. It needs `correlation_cosine`. Ignored without correlation."""
-    match_blocks: int = 0
-    """Residual blocks between the colour encoder and the correlation, which widen the context of each cell; 0 for
-    none, as in the paper, whose trunk is deeper. They need `correlation_cosine`. Ignored without correlation."""
     displacement: bool = False
     """Pass each cell's expected displacement under the softmax of its correlations, and the highest probability, to
     the hourglass, which in the paper receives pooled features only. Ignored without correlation."""
@@ -112,10 +109,6 @@ class NetworkSettings:
         for name in ("local_motion_scale", "local_motion_tolerance"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise MethodError(f"network setting {name} must be finite and above 0, not {getattr(self, name)}")
-        if not 0 <= self.match_blocks <= MAX_LAYERS:
-            raise MethodError(f"network setting match_blocks must lie in 0..{MAX_LAYERS}, not {self.match_blocks}")
-        if self.match_blocks and not self.correlation_cosine:
-            raise MethodError("network setting match_blocks needs correlation_cosine: sums of blocks are not scaled")
         if self.xfeat and not self.correlation_cosine:
             raise MethodError("network setting xfeat needs correlation_cosine: cosines are added to cosines")
         blocks = self.trunk_blocks
