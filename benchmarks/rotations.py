@@ -2,7 +2,8 @@
 
 The hourglass receives each cell's expected displacement under the softmax of the correlation. For each object, a rigid
 motion is fitted to these displacements on the cells of its true mask. Its error shows how much of the rotation reaches
-the heads; objects with symmetries, whose rotation is ambiguous, are left out.
+the heads; objects with symmetries, whose rotation is ambiguous, are left out. The last columns are the errors of the
+local motions of the object's cells, by the settings of the weights or, if they have none, in windows of 7x7 cells.
 """
 
 from __future__ import annotations
@@ -25,12 +26,15 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import resize_nearest
 from objectflow.methods.network_io import to_tensors
 from objectflow.networks import SceneFlowNet
+from objectflow.networks.sceneflownet.local_motion import local_motion
 from objectflow.networks.sceneflownet.network import expected_displacement
 from objectflow.networks.weights import load_network
 from objectflow.typing import Float64Array, LabelImage
 
 STRIDE = 8
 """Pixels per cell of the correlation."""
+LOCAL_WINDOW = 3
+"""Cells in each direction of the neighbourhoods of local motions, for weights that have none."""
 NEAR = 0.02
 """Metres: largest error of a match that counts as near."""
 BINS = ((3, 6), (6, 12), (12, 30), (30, 10_000))
@@ -51,6 +55,8 @@ class Settings:
     """Number of pairs."""
     size: tuple[int, int] = (216, 288)
     """Height and width of the network's input."""
+    window: int | None = None
+    """Window of the expected displacement, cells; 0 is the whole patch, None the weights' own setting."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +69,8 @@ class Row:
     motion: float
     match_error: float
     near: float
+    local_error: float
+    local_flow_error: float
 
 
 def cells_of(frame: RgbdFrame) -> Tensor:
@@ -78,7 +86,7 @@ def angle_between(a: Float64Array, b: Float64Array) -> float:
 
 
 def rows_of(
-    network: SceneFlowNet, prev: RgbdFrame, curr: RgbdFrame, truth: PairTruth, labels: LabelImage
+    network: SceneFlowNet, prev: RgbdFrame, curr: RgbdFrame, truth: PairTruth, labels: LabelImage, window: int | None
 ) -> list[Row]:
     """The objects of a pair whose rotation is known and unambiguous."""
     device = torch.device("cpu")
@@ -87,7 +95,19 @@ def rows_of(
         _, correlation = network.predict(prev_color, prev_points, curr_color, curr_points)
         if correlation is None:
             raise SystemExit("a network without correlation")
-        found = expected_displacement(correlation, cells_of(prev), cells_of(curr), network.settings.reach)[0].numpy()
+        settings = network.settings
+        window = settings.displacement_window if window is None else window
+        displacement = expected_displacement(
+            correlation, cells_of(prev), cells_of(curr), settings.reach, window=window
+        )
+        local = local_motion(
+            displacement,
+            cells_of(curr),
+            window=settings.local_motion_window or LOCAL_WINDOW,
+            scale=settings.local_motion_scale,
+            tolerance=settings.local_motion_tolerance,
+        )[0].numpy()
+        found = displacement[0].numpy()
     cells, rows = cells_of(curr)[0].numpy(), []
     for obj in truth.objects:
         mask = (labels[::STRIDE, ::STRIDE] == obj.label) & (cells[3] > 0) & (found[3] > 0)
@@ -97,6 +117,7 @@ def rows_of(
         matched, moved = points + found[:3, mask].T, geometry.transform(obj.prev_T_curr, points)
         distance = np.linalg.norm(matched - moved, axis=1)
         rotation, fitted = obj.prev_T_curr[:3, :3], geometry.kabsch(points, matched)[0]
+        vectors, offsets = local[:3, mask].T.astype(np.float64), local[3:6, mask].T
         rows.append(
             Row(
                 int(mask.sum()),
@@ -105,6 +126,8 @@ def rows_of(
                 100 * float(np.linalg.norm(moved - points, axis=1).mean()),
                 100 * float(distance.mean()),
                 100 * float((distance < NEAR).mean()),
+                float(np.median([angle_between(geometry.so3_exp(vector), rotation) for vector in vectors])),
+                100 * float(np.linalg.norm(points + offsets - moved, axis=1).mean()),
             )
         )
     return rows
@@ -123,8 +146,16 @@ def main(settings: Settings) -> None:
             pair = pairs.pair(key)
             labels = resize_nearest(pair.truth.labels, settings.size)
             prev, curr = (frame.resized(width, height) for frame in (pair.prev, pair.curr))
-            rows += rows_of(network.eval(), prev, curr, pair.truth, labels)
-        names = ("rotation, deg", "error, deg", "motion, cm", "error of matches, cm", "matches within 2 cm, %")
+            rows += rows_of(network.eval(), prev, curr, pair.truth, labels, settings.window)
+        names = (
+            "rotation, deg",
+            "error, deg",
+            "motion, cm",
+            "error of matches, cm",
+            "matches within 2 cm, %",
+            "local error, deg",
+            "local error, cm",
+        )
         table = Table("cells", "objects", *names, title=str(path))
         for low, high in BINS:
             chosen = [dataclasses.astuple(row) for row in rows if low <= row.cells < high]

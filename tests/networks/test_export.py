@@ -35,6 +35,15 @@ def network(**changes: Any) -> SceneFlowNet:
     [
         ({}, (40, 56)),
         ({"correlation_cosine": True, "displacement": True, "details": True}, (37, 50)),
+        (
+            {
+                "correlation_cosine": True,
+                "displacement": True,
+                "displacement_window": 1,
+                "local_motion_window": 1,
+            },
+            (40, 48),
+        ),
         ({"correlation": False}, (40, 56)),
     ],
 )

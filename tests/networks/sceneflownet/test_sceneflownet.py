@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,13 @@ def test_maps_have_the_inputs_size_and_every_weight_learns(
     correlation: bool, details: bool, cosine: bool, height: int, width: int
 ) -> None:
     network = _network(
-        correlation=correlation, details=details, correlation_cosine=cosine, displacement=cosine, length_unit=0.1
+        correlation=correlation,
+        details=details,
+        correlation_cosine=cosine,
+        displacement=cosine,
+        displacement_window=1,
+        local_motion_window=2 if cosine else 0,
+        length_unit=0.1,
     )
     for parameter in network.parameters():  # residual blocks start as their shortcuts: activate the other layers
         if not parameter.any():
@@ -129,6 +136,28 @@ def test_expected_displacement_of_certain_matches_is_the_match() -> None:
     torch.testing.assert_close(found[0, :3, 4, 6], around - curr[0, :3, 4, 6])
     nothing = expected_displacement(correlation, torch.zeros_like(prev), curr, reach)
     assert not nothing.any()
+
+
+def test_a_window_leaves_other_candidates_out_of_the_expected_displacement() -> None:
+    """With two distant candidates, the window's mean is the likelier one, and the whole patch's lies between them."""
+    generator = torch.Generator().manual_seed(4)
+    reach, height, width = 3, 7, 7
+    prev, curr = (
+        torch.cat([torch.rand(1, 3, height, width, generator=generator), torch.ones(1, 1, height, width)], 1)
+        for _ in range(2)
+    )
+    correlation = torch.full((1, 49, height, width), -80.0)
+    likely = {(1, 1): 0.5, (1, 2): 0.125, (6, 5): 0.375}  # cells of the previous frame, seen from cell (3, 3)
+    for (row, column), probability in likely.items():
+        correlation[0, (row - 3 + reach) * 7 + column - 3 + reach, 3, 3] = math.log(probability)
+    found = expected_displacement(correlation, prev, curr, reach, window=1)[0, :, 3, 3]
+    near = (0.5 * prev[0, :3, 1, 1] + 0.125 * prev[0, :3, 1, 2]) / 0.625
+    torch.testing.assert_close(found[:3], near - curr[0, :3, 3, 3])
+    torch.testing.assert_close(found[3], torch.tensor(0.625))
+    everywhere = expected_displacement(correlation, prev, curr, reach)[0, :, 3, 3]
+    mean = sum(probability * prev[0, :3, row, column] for (row, column), probability in likely.items())
+    torch.testing.assert_close(everywhere[:3], mean - curr[0, :3, 3, 3])
+    torch.testing.assert_close(everywhere[3], torch.tensor(0.5))
 
 
 def test_maps_are_in_metres_for_any_length_unit() -> None:
@@ -242,6 +271,11 @@ def test_settings_go_through_json() -> None:
         ({"fine": [[64], [], [3]]}, "stage without layers"),
         ({"trunk_norm": "group"}, "trunk_norm must be batch or frozen"),
         ({"xfeat": True}, "xfeat needs correlation_cosine"),
+        ({"displacement_window": 65}, "displacement_window must lie in 0..64, not 65"),
+        ({"local_motion_window": 3}, "local_motion_window needs displacement"),
+        ({"local_motion_window": -1}, "local_motion_window must lie in 0..64, not -1"),
+        ({"local_motion_scale": 0.0}, "local_motion_scale must be finite and above 0"),
+        ({"local_motion_tolerance": float("nan")}, "local_motion_tolerance must be finite and above 0"),
         ({"missing": "masked"}, "missing is 'masked', which this version no longer implements: it needs 'channel'"),
         ({"correlation_mean": True}, "correlation_mean is True, which this version no longer implements"),
     ],

@@ -13,6 +13,8 @@ from objectflow.errors import MethodError
 from objectflow.networks.sceneflownet.backbone import Bottleneck, ColorEncoder, load_backbone, shape_encoder
 from objectflow.networks.sceneflownet.correlation import correlate, weighted_max_pool
 from objectflow.networks.sceneflownet.decoder import Heads, Hourglass
+from objectflow.networks.sceneflownet.local_motion import CHANNELS as _LOCAL_MOTION_CHANNELS
+from objectflow.networks.sceneflownet.local_motion import local_motion
 from objectflow.networks.sceneflownet.outputs import SceneFlowNetOutput
 from objectflow.networks.sceneflownet.settings import NetworkSettings
 from objectflow.networks.xfeat import XFeat, sample_cells
@@ -20,7 +22,7 @@ from objectflow.networks.xfeat import XFeat, sample_cells
 _STRIDE = 8
 """Stride of the encoders in pixels; images are padded to a multiple of it, and the maps are cropped."""
 _DISPLACEMENT_CHANNELS = 4
-"""Channels of `expected_displacement`: a vector, and the highest probability."""
+"""Channels of `expected_displacement`: a vector, and its probability."""
 _INITIAL_SHARPNESS = 2.0
 """Initial value of `sharpness`; the first runs converged to within 0.1 of it."""
 _INITIAL_XFEAT_SHARPNESS, _LARGEST_XFEAT_SHARPNESS = math.log(10.0), math.log(30.0)
@@ -53,6 +55,7 @@ class SceneFlowNet(nn.Module):
             self.color_encoder: ColorEncoder | None = ColorEncoder(self.settings)
             self.shape_encoder = shape_encoder(4, self.settings.shape_stages)
             extra = _DISPLACEMENT_CHANNELS if self.settings.displacement else 0
+            extra += _LOCAL_MOTION_CHANNELS if self.settings.local_motion_window else 0
             self.hourglass = Hourglass(3 * shape_channels + extra, self.settings)
         else:
             self.color_encoder = None
@@ -136,6 +139,7 @@ class SceneFlowNet(nn.Module):
         # The encoders are Siamese: both frames form one batch.
         curr_features, prev_features = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
         curr_geometry, prev_geometry = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
+        prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
         reach = self.settings.reach
         if self.sharpness is not None:
             curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
@@ -149,34 +153,66 @@ class SceneFlowNet(nn.Module):
             weights = torch.relu(correlation)
         parts = [curr_geometry, prev_geometry, weighted_max_pool(weights, prev_geometry, reach)]
         if self.settings.displacement:
-            prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
-            parts.append(expected_displacement(correlation, prev_cells, curr_cells, reach))
+            window = self.settings.displacement_window
+            displacement = expected_displacement(correlation, prev_cells, curr_cells, reach, window=window)
+            parts.append(displacement)
+            if self.settings.local_motion_window:
+                parts.append(self._local_motion(displacement, curr_cells))
         return torch.cat(parts, dim=1), correlation
 
+    def _local_motion(self, displacement: Tensor, curr_cells: Tensor) -> Tensor:
+        settings = self.settings
+        return local_motion(
+            displacement,
+            curr_cells,
+            window=settings.local_motion_window,
+            scale=settings.local_motion_scale / settings.length_unit,
+            tolerance=settings.local_motion_tolerance / settings.length_unit,
+        )
 
-def expected_displacement(correlation: Tensor, prev_cells: Tensor, curr_cells: Tensor, reach: int) -> Tensor:
+
+def expected_displacement(
+    correlation: Tensor, prev_cells: Tensor, curr_cells: Tensor, reach: int, *, window: int = 0
+) -> Tensor:
     """Mean displacement of each cell's point over its patch, weighted by the softmax of its correlations.
 
     Args:
         correlation: (B, (2 L + 1)^2, h, w), as `correlate` orders it.
         prev_cells, curr_cells: (B, 4, h, w) points, and 1 where there is a point.
         reach: L, in cells.
+        window: cells around the most probable one, in each direction, over which the mean is taken; 0 for the whole
+            patch.
 
     Returns:
-        (B, 4, h, w): the displacement, 0 where the point or all its candidates are missing; and the highest
-        probability among cells with points.
+        (B, 4, h, w): the displacement, 0 where the point or all its candidates are missing; and among cells with
+        points the probability of the window, or the highest probability without one.
     """
     height, width = correlation.shape[-2:]
-    patches = F.unfold(prev_cells, 2 * reach + 1, padding=reach)
+    side = 2 * reach + 1
+    patches = F.unfold(prev_cells, side, padding=reach)
     patches = patches.reshape(len(prev_cells), 4, -1, height, width).to(correlation.dtype)
     points, valid = patches[:, :3], patches[:, 3]
     best = correlation.amax(1, keepdim=True).detach()
     likely = (correlation - best).exp() * valid
     share = likely / likely.sum(1, keepdim=True).clamp_min(torch.finfo(torch.float32).tiny)
-    mean = (points * share[:, None]).sum(2)
     known = (share.sum(1, keepdim=True) > 0) & (curr_cells[:, 3:] > 0)
+    if window > 0:
+        share = share * _around_maximum(share, side, window)
+        probability = share.sum(1, keepdim=True)
+        share = share / probability.clamp_min(torch.finfo(torch.float32).tiny)
+    else:
+        probability = share.amax(1, keepdim=True)
+    mean = (points * share[:, None]).sum(2)
     displacement = torch.where(known, mean - curr_cells[:, :3], 0.0)
-    return torch.cat([displacement, share.amax(1, keepdim=True)], dim=1)
+    return torch.cat([displacement, probability], dim=1)
+
+
+def _around_maximum(share: Tensor, side: int, window: int) -> Tensor:
+    """(B, side^2, h, w) bool: entries at most `window` rows and columns from the largest of their cell."""
+    largest = share.argmax(1, keepdim=True)
+    entry = torch.arange(side * side, device=share.device)[:, None, None]
+    rows, columns = (entry // side - largest // side).abs(), (entry % side - largest % side).abs()
+    return torch.maximum(rows, columns) <= window
 
 
 def _pyramid(color: Tensor, shape: Tensor) -> list[Tensor]:

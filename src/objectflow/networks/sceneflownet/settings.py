@@ -56,6 +56,19 @@ class NetworkSettings:
     displacement: bool = False
     """Pass each cell's expected displacement under the softmax of its correlations, and the highest probability, to
     the hourglass, which in the paper receives pooled features only. Ignored without correlation."""
+    displacement_window: int = 0
+    """Cells: the expected displacement is the mean over the window of so many cells around the most probable one, and
+    its probability that of the window. 0 takes the whole patch, whose mean lies far from every candidate where the
+    correlation has several maxima."""
+    local_motion_window: int = 0
+    """Cells in each direction of the neighbourhoods to whose displacements rigid motions are fitted, which the
+    hourglass receives too; 0 for none, as in the paper. Without them, rotations are hardly learnt. They need
+    `displacement`."""
+    local_motion_scale: float = 0.06
+    """Metres: distance at which the weight of a neighbour falls to exp(-1/2); about the radius of an object."""
+    local_motion_tolerance: float = 0.015
+    """Metres: change of the distance between two points from frame to frame at which their agreement on one rigid
+    motion falls to exp(-1/2); about half a cell."""
     length_unit: float = 1.0
     """Metres: unit of the encoders' points and of the heads. In metres, points within an object hardly differ, and a
     step of a head's weights changes its output by centimetres; 0.1 makes both easier to learn."""
@@ -83,6 +96,19 @@ class NetworkSettings:
             raise MethodError(f"network setting origin_depth must be finite, not {self.origin_depth}")
         if not 0 <= self.reach <= MAX_REACH:
             raise MethodError(f"network setting reach must lie in 0..{MAX_REACH}, not {self.reach}")
+        if not 0 <= self.displacement_window <= MAX_REACH:
+            raise MethodError(
+                f"network setting displacement_window must lie in 0..{MAX_REACH}, not {self.displacement_window}"
+            )
+        if not 0 <= self.local_motion_window <= MAX_REACH:
+            raise MethodError(
+                f"network setting local_motion_window must lie in 0..{MAX_REACH}, not {self.local_motion_window}"
+            )
+        if self.local_motion_window and not self.displacement:
+            raise MethodError("network setting local_motion_window needs displacement: motions are fitted to it")
+        for name in ("local_motion_scale", "local_motion_tolerance"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise MethodError(f"network setting {name} must be finite and above 0, not {getattr(self, name)}")
         if self.xfeat and not self.correlation_cosine:
             raise MethodError("network setting xfeat needs correlation_cosine: cosines are added to cosines")
         blocks = self.trunk_blocks
