@@ -49,8 +49,8 @@ class StaticTestSettings(Settings):
     explained_cost: float = setting(2.0, above=0)
     """Largest cost of a pixel that a motion explains."""
     two_way_exponent: float = setting(0.65, above=0)
-    """Exponent of the shares of pixels that a motion explains, forwards and backwards, in the score: the smallest in
-    steps of 0.05 with which motions that score above 0.7 are right in 95 of 100 cases on validation pairs."""
+    """Exponent of the shares of pixels that a motion explains, forwards and backwards, in the score; chosen on
+    validation pairs, before rivals and colours count."""
     max_unexplained: float = setting(0.25, minimum=0, maximum=1)
     """Largest share of an object's visible pixels that its motion leaves unexplained; beyond it, the object is not
     rigid."""
