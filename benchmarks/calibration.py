@@ -18,7 +18,6 @@ from rich.progress import track
 
 import objectflow
 from objectflow import geometry
-from objectflow.dataset.moving_objects import keep_labels
 from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
 from objectflow.evaluation.metrics.symmetry_error import displacement_error
@@ -31,8 +30,10 @@ MAX_ERROR = 0.01
 """Metres: mean displacement error of the true object's points up to which a motion is right."""
 MAX_RELATIVE_ERROR = 0.2
 """The same as a share of the object's true displacement against the background."""
+MAX_SMALL_ERROR = 0.5
+"""The same share of an object that moved by less than the evaluation counts as moving, such as 3 mm."""
 MIN_INSIDE = 0.5
-"""Share of a predicted mask that must lie on one true mover."""
+"""Share of a predicted mask that must lie on one true object."""
 
 
 @dataclass
@@ -72,24 +73,23 @@ def main(settings: Settings) -> None:
 
 
 def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) -> Iterator[ScoredMover]:
-    """Compare the motion of every object that was predicted to move with that of the true mover that it shows.
+    """Compare the motion of every object that was predicted to move with that of the true object that it shows.
 
-    The motion of a part of a mover is right if it is that of the whole.
+    The motion of a part of an object is right if it is that of the whole.
 
     Args:
         motion: the prediction.
         truth: of the pair.
         points: (H, W, 3) metres of the current frame.
     """
-    true = keep_labels(truth.labels, truth.moving)
     by_label = {obj.label: obj for obj in truth.objects}
     for obj in motion.moving:
-        shown = true[motion.labels == obj.id]
+        shown = truth.labels[motion.labels == obj.id]
         counts = np.bincount(shown, minlength=1)
         label = int(counts[1:].argmax()) + 1 if len(counts) > 1 else 0
-        right = label > 0 and counts[label] >= MIN_INSIDE * len(shown)
+        right = label in by_label and counts[label] >= MIN_INSIDE * len(shown)
         if right:
-            seen = points[true == label]
+            seen = points[truth.labels == label]
             right = is_right(obj, by_label[label], seen[np.isfinite(seen[:, 2])], truth)
         yield ScoredMover(obj.score, bool(right))
 
@@ -103,6 +103,8 @@ def is_right(found: ObjectMotion, true: TrueObject, points: Float32Array, truth:
     at_rest = points if background is None else geometry.transform(background, points)
     displacement = np.linalg.norm(before - at_rest, axis=1).mean()
     error = displacement_error(found.prev_T_curr, true.prev_T_curr, points, true.center, true.axes, true.orders)
+    if true.label not in truth.moving:
+        return bool(displacement > 0 and error <= MAX_SMALL_ERROR * displacement)
     return bool(error <= max(MAX_ERROR, MAX_RELATIVE_ERROR * displacement))
 
 

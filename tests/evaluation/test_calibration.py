@@ -53,3 +53,21 @@ def test_a_part_with_the_motion_of_the_whole_is_right() -> None:
     parts = (dataclasses.replace(whole, id=1), dataclasses.replace(whole, id=2, prev_T_curr=off))
     found = list(calibration.judge_movers(SceneMotion(labels, scene.scene_flow, parts), truth_of_scene(scene), points))
     assert [one.right for one in found] == [True, False]
+
+
+def test_half_the_displacement_of_an_object_that_hardly_moved_must_be_right() -> None:
+    """An object that moved by 3 mm is no mover of the evaluation: 1 mm off is right, 2 mm off and any motion of an
+    object at rest are wrong."""
+    scene = analytic.make_scene(53, objects=(3, 3))
+    points = geometry.back_project(scene.curr.depth, scene.curr.camera)
+    truth = truth_of_scene(scene)
+    rows = []
+    for moved, found in ((0.003, 0.002), (0.003, 0.001), (0.0, 0.003)):
+        true_motion, motion = (geometry.make_transform(np.eye(3), [shift, 0.0, 0.0]) for shift in (moved, found))
+        objects = tuple(dataclasses.replace(obj, prev_T_curr=true_motion) for obj in truth.objects)
+        small = dataclasses.replace(truth, objects=objects, moving=frozenset(), background_prev_T_curr=None)
+        mover = dataclasses.replace(true_objects(scene, all_moving=True)[0], prev_T_curr=motion)
+        labels = np.where(scene.labels == mover.id, np.int32(mover.id), np.int32(0))
+        (judged,) = calibration.judge_movers(SceneMotion(labels, scene.scene_flow, (mover,)), small, points)
+        rows.append(judged.right)
+    assert rows == [True, False, False]

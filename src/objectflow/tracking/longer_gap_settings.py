@@ -26,8 +26,9 @@ class LongerGapSettings(Settings):
     """Number of pairs per estimate between frames farther apart, in the long run; it bounds the time."""
     max_saved: int = setting(2, minimum=1)
     """Maximum number of such estimates in consecutive pairs, where there were none before."""
-    min_score: float = setting(0.5, minimum=0, maximum=1)
-    """Minimum score of an object that is found in this way."""
+    min_score: float = setting(0.4, minimum=0, maximum=1)
+    """Minimum score of an object that is found in this way; a motion that other motions rival counts, since the poses
+    in between confirm it."""
     max_known: float = setting(0.3, minimum=0, maximum=1)
     """Largest share of its mask that known objects may cover."""
     max_deviation: float = setting(0.5, minimum=0)

@@ -15,8 +15,8 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import motion_confidence
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.methods.postprocess.scoring import UNSEEN, set_confidence, two_way_confidence
-from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
+from objectflow.methods.postprocess.scoring import UNSEEN, confirmed_score, set_confidence, two_way_confidence
+from objectflow.methods.postprocess.settings import PostprocessSettings, RivalSettings, StaticTestSettings
 from objectflow.motion import ObjectMotion
 
 DEFAULTS = PostprocessSettings()
@@ -57,6 +57,16 @@ def test_two_way_confidence_in_numbers() -> None:
     assert two_way_confidence(cost, before, -gain, settings) == 0
     assert two_way_confidence(cost, before[:0], gain, settings) == 0
     assert two_way_confidence(cost[4:], before, gain[4:], settings) == 0
+
+
+def test_confirmed_score_in_numbers() -> None:
+    settings = RivalSettings(unconfirmed_score=0.4, rate=4.0)
+    assert confirmed_score(0.9, 0.5, 0.8, settings) == pytest.approx(0.4 + 0.5 * 0.8 * (1 - np.exp(-2)), abs=1e-4)
+    assert confirmed_score(0.9, np.inf, 1.0, settings) == 0.9
+    assert confirmed_score(0.9, 0.0, 1.0, settings) == 0.4
+    assert confirmed_score(0.9, -3.0, 1.0, settings) == 0.4  # a rival explains the object better
+    assert confirmed_score(0.9, np.inf, 0.0, settings) == 0.4
+    assert confirmed_score(0.3, 0.0, 0.0, settings) == 0.3
 
 
 def test_what_lies_between_the_pixels_in_the_previous_frame_must_fit_as_well() -> None:

@@ -77,12 +77,7 @@ def search_motions(
     }
     if not doubted:
         return labels, objects
-    frames = SearchLikelihood(
-        pair.at_width(search.width),
-        cost_out_of_view=search.cost_out_of_view,
-        free_space_violation=settings.likelihood.free_space_violation,
-        settings=search.likelihood,
-    )
+    frames = SearchLikelihood.of(pair, settings)
     found = {number: _search(frames, likelihood, mask, motions[number], search) for number, mask in doubted.items()}
     tolerance = settings.static_test.static_displacement
     return labels, tuple(_with_motion(obj, found.get(obj.id, obj.prev_T_curr), tolerance) for obj in objects)

@@ -64,6 +64,20 @@ class PairLikelihood:
             self._costs[key] = self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
         return self._costs[key]
 
+    def depth_cost(self, prev_T_curr: Float64Array, mask: BoolMask) -> Float32Array:
+        """(N,) `cost` of depth alone; infinite where the previous frame does not show the point."""
+        pair = self.pair
+        cost, hidden = motion_cost(
+            pair.prev.frame,
+            self.points[mask][None],
+            prev_T_curr,
+            None,
+            out_of_view=np.inf,
+            noise=pair.noise,
+            settings=self._settings,
+        )
+        return np.asarray(np.where(hidden, np.inf, cost)[0])
+
     def previous_cost(self, prev_T_curr: Float64Array, mask: BoolMask) -> Float32Array:
         """(M,) cost, under the inverse of a motion, of the pixels of the previous frame where a mask came from."""
         prev, curr = self.pair.prev, self.pair.curr

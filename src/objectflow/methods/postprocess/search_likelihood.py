@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.methods.postprocess.settings import SearchLikelihoodSettings
+from objectflow.methods.postprocess.settings import PostprocessSettings, SearchLikelihoodSettings
 from objectflow.typing import Float32Array, Float64Array, UInt8Array
 
 DEFAULTS = SearchLikelihoodSettings()
@@ -41,6 +41,21 @@ class SearchLikelihood:
         self.changed = moved | (np.abs(self.prev_appearance - self.curr_appearance) > limits).any(-1)
         depth = np.where(prev.depth > 0, prev.depth, np.float32(np.nan))
         self._table = np.concatenate([depth[..., None], self.prev_appearance], -1).reshape(-1, 4)
+
+    @classmethod
+    def of(cls, pair: FramePair, settings: PostprocessSettings) -> SearchLikelihood:
+        """The likelihood of a pair at the width of the search, which all steps with the same settings share."""
+        search, violation = settings.motion_search, settings.likelihood.free_space_violation
+        key = (cls, search.width, search.cost_out_of_view, violation, search.likelihood)
+        if key not in pair.memo:
+            pair.memo[key] = cls(
+                pair.at_width(search.width),
+                cost_out_of_view=search.cost_out_of_view,
+                free_space_violation=violation,
+                settings=search.likelihood,
+            )
+        found: SearchLikelihood = pair.memo[key]
+        return found
 
     def __call__(
         self,

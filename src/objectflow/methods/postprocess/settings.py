@@ -49,8 +49,8 @@ class StaticTestSettings(Settings):
     explained_cost: float = setting(2.0, above=0)
     """Largest cost of a pixel that a motion explains."""
     two_way_exponent: float = setting(0.65, above=0)
-    """Exponent of the shares of pixels that a motion explains, forwards and backwards, in the score: the smallest in
-    steps of 0.05 with which motions that score above 0.7 are right in 95 of 100 cases on validation pairs."""
+    """Exponent of the shares of pixels that a motion explains, forwards and backwards, in the score; chosen on
+    validation pairs, before rivals and colours count."""
     max_unexplained: float = setting(0.25, minimum=0, maximum=1)
     """Largest share of an object's visible pixels that its motion leaves unexplained; beyond it, the object is not
     rigid."""
@@ -202,6 +202,60 @@ class MotionSearchSettings(Settings):
 
 
 @dataclass(frozen=True)
+class RivalSettings(Settings):
+    """Which other motions an object's motion must surpass (`rival_motions`), and what they cost the score."""
+
+    unconfirmed_score: float = setting(0.4, minimum=0, maximum=1)
+    """Score that a motion keeps without confirmation; only what exceeds it depends on rivals and colours."""
+    rate: float = setting(4.0, above=0)
+    """Per nat: how fast the confirmation grows with the mean cost per pixel that the best rival adds."""
+    min_distance: float = setting(0.01, above=0)
+    """Metres: mean distance between an object's points under its motion and under a rival, from which they differ."""
+    min_relative_distance: float = setting(0.2, minimum=0)
+    """The same relative to the object's mean displacement; the larger distance applies."""
+    min_pixels: int = setting(6, minimum=6)
+    """Fewest pixels, at the width of the likelihood, of an object whose motion may surpass its rivals."""
+    angles_deg: tuple[float, ...] = setting((20.0, 45.0, 90.0, 180.0), above=0)
+    """Degrees: rotations about each principal axis of the visible surface, in both directions."""
+    shift_ratios: tuple[float, ...] = setting((1.5, 3.0), above=0)
+    """Shifts along each axis of the camera, in both directions, relative to the distance from which motions differ."""
+    points: int = setting(120, minimum=6)
+    """Number of points on which rivals are evaluated."""
+    depth_scale: float = setting(0.015, above=0)
+    """Metres of depth difference that cost 0.5."""
+    color_scale: float = setting(9.0, above=0)
+    """Difference in appearance that costs 0.5."""
+    kept: int = setting(12, minimum=1)
+    """Number of first rivals that are perturbed."""
+    perturbed: int = setting(144, minimum=1)
+    """Number of perturbed rivals."""
+    perturbed_angle_deg: float = setting(12.0, minimum=0)
+    """Degrees: standard deviation of their random rotation."""
+    perturbed_shift: float = setting(0.01, minimum=0)
+    """Metres: standard deviation of their random shift."""
+    min_angle_deg: float = setting(8.0, minimum=0)
+    """Degrees: two kept rivals differ by more than this or by more than `min_shift`."""
+    min_shift: float = setting(0.006, minimum=0)
+    """Metres: see `min_angle_deg`."""
+    registered: int = setting(6, minimum=1)
+    """Number of rivals that are registered at the end."""
+
+
+@dataclass(frozen=True)
+class ColorSimilaritySettings(Settings):
+    """How the colours of an object confirm its motion (`color_similarity`)."""
+
+    explained_cost: float = setting(2.0, above=0)
+    """Cost of depth alone up to which a motion explains a pixel; 2 is two standard deviations."""
+    min_pixels: int = setting(6, minimum=1)
+    """Fewest such pixels, at the width of the likelihood."""
+    lightness_noise: float = setting(4.0, above=0)
+    """Levels of lightness, 0 to 255, of which a difference is noise or a change of light."""
+    hue_noise: float = setting(2.0, above=0)
+    """The same of the two colour channels of CIELAB."""
+
+
+@dataclass(frozen=True)
 class MergeSettings(Settings):
     """When fragments are one body (`merge_fragments`)."""
 
@@ -309,6 +363,8 @@ class PostprocessSettings(Settings):
     split: SplitSettings = SplitSettings()
     motion_search: MotionSearchSettings = MotionSearchSettings()
     merge: MergeSettings = MergeSettings()
+    rivals: RivalSettings = RivalSettings()
+    color_similarity: ColorSimilaritySettings = ColorSimilaritySettings()
     reassign: ReassignSettings = ReassignSettings()
     snap_to_edges: MaskEdgeSettings = MaskEdgeSettings()
     missed_objects: MissedObjectSettings = MissedObjectSettings()
