@@ -9,6 +9,7 @@ from helpers.flat_scenes import CAMERA, Card, draw
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.frame import RgbdFrame
+from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.color_similarity import color_similarity, structural_similarity
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import ColorSimilaritySettings, PostprocessSettings
@@ -50,6 +51,19 @@ def test_the_true_motion_aligns_the_colours_of_a_card() -> None:
     prev, curr = draw(BEFORE), draw(CARD)
     assert similarity(prev, curr, 10) > 0.97
     assert similarity(prev, curr, 4) < 0.5  # the depth fits as well, but the colours lie elsewhere
+
+
+def test_an_object_may_fill_the_image() -> None:
+    """76,800 pixels, more than OpenCV samples at once."""
+    rng = np.random.default_rng(2)
+    color = np.kron(rng.integers(0, 255, (60, 80, 3)), np.ones((4, 4, 1))).astype(np.uint8)
+    depth, camera = np.full((240, 320), 0.8, np.float32), Camera(320, 240, 260.0, 260.0, 159.5, 119.5)
+    frames = [RgbdFrame(np.roll(color, shift, axis=1), depth, camera) for shift in (0, 3)]
+    likelihood = PairLikelihood.of(FramePair(*frames), DEFAULTS.likelihood)
+    everything = np.ones(depth.shape, bool)
+    shift = geometry.make_transform(np.eye(3), [-3 * 0.8 / 260, 0.0, 0.0])
+    assert color_similarity(likelihood, everything, shift, DEFAULTS.color_similarity) > 0.95
+    assert color_similarity(likelihood, everything, np.eye(4), DEFAULTS.color_similarity) < 0.6
 
 
 def test_a_shadow_hides_no_hue() -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from objectflow import geometry
+from objectflow.geometry.resample import sample_bilinear
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import ColorSimilaritySettings
 from objectflow.typing import BoolMask, Float32Array, Float64Array
@@ -35,9 +35,9 @@ def color_similarity(
         return 0.0
     prev, curr = likelihood.pair.prev, likelihood.pair.curr
     pixels = geometry.project(geometry.transform(prev_T_curr, likelihood.points[mask][explained]), prev.frame.camera)
-    u, v = pixels.astype(np.float32).T
+    pixels = np.clip(pixels, 0, [prev.frame.camera.width - 1, prev.frame.camera.height - 1])  # rims round beyond it
     pairs = [
-        (there[mask][explained], cv2.remap(before, u[None], v[None], cv2.INTER_LINEAR)[0])
+        (there[mask][explained], sample_bilinear(before, pixels))
         for there, before in zip(curr.appearance.channels, prev.appearance.channels, strict=True)
     ]
     _, lightness, *hue = pairs
