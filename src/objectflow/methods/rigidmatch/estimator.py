@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
 import torch
 from torch import Tensor
 
+from objectflow.alignment.apparent_shift import apparent_shift
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.prepared_frame import PreparedFrame
@@ -41,8 +43,11 @@ from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput, RigidMa
 from objectflow.networks.rigidmatch.settings import MOST
 from objectflow.networks.weights import load_network, read_header
 from objectflow.runtime.devices import find_device
+from objectflow.runtime.side_threads import start_beside
 from objectflow.settings import setting
 
+_OUTPUT = "output"
+"""Part of the key of the network's output in `FramePair.beside`."""
 SCALED_DEPTH = 0.75
 """Metres: median depth to which scenes are scaled that lie nearer or farther than those of the training data."""
 
@@ -76,6 +81,10 @@ class RigidMatchConfig(CompensationConfig):
     matching: MatchSettings = MatchSettings(feature_width=320, sufficient_flow_share=0.5)
     """The network finds large displacements of objects, so features serve large motions of the camera alone: they are
     matched where optical flow fails, and at half the size."""
+    likely_static_px: float = setting(0.6, minimum=0)
+    """Pixels, at a width of 320: median shift of the edges up to which the network is evaluated beside the estimate of
+    the camera's motion, where there are side threads. It is evaluated again if the camera moved after all, so this
+    decides about time alone."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
@@ -113,18 +122,32 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         seed_radius = found.seed_radius if self.seed_radius is None else self.seed_radius
         return dataclasses.replace(found, queries=queries, seed_radius=seed_radius)
 
+    def start(self, pair: FramePair) -> None:
+        """See `StaticCameraEstimator`: evaluate the network, unless the camera moved or the light changed."""
+        if next(self.network.parameters()).device.type != "cpu" or self.camera == "moving":
+            return
+        if apparent_shift(pair.prev, pair.curr) <= self.likely_static_px:
+            prev, curr = self._small(pair)
+            pair.beside[_OUTPUT, self.network] = start_beside(partial(self.predict, [prev], [curr]))
+
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """See `StaticCameraEstimator`; the network is evaluated once for all pairs of one size."""
         motions: dict[int, SceneMotion] = {}
         for group in same_size_groups([scaled_size(pair.curr.frame, self.size) for pair in pairs]):
-            height, width = group.size
-            small = [
-                (pairs[k].prev.resized(width, height), pairs[k].curr.resized(width, height)) for k in group.members
-            ]
-            output, points = self.predict([one for one, _ in small], [other for _, other in small])
+            started = pairs[group.members[0]].beside.pop((_OUTPUT, self.network), None)
+            if started is not None:
+                output, points = started.result()
+            else:
+                small = [self._small(pairs[k]) for k in group.members]
+                output, points = self.predict([one for one, _ in small], [other for _, other in small])
             for place, k in enumerate(group.members):
                 motions[k] = self._finish(pairs[k], select(output, place), points[place : place + 1], group.size)
         return [motions[k] for k in range(len(pairs))]
+
+    def _small(self, pair: FramePair) -> tuple[PreparedFrame, PreparedFrame]:
+        """Both frames at the size of the network's input."""
+        height, width = scaled_size(pair.curr.frame, self.size)
+        return pair.prev.resized(width, height), pair.curr.resized(width, height)
 
     def predict(
         self, prev: Sequence[RgbdFrame | PreparedFrame], curr: Sequence[RgbdFrame | PreparedFrame]
