@@ -29,7 +29,7 @@ def has_side_threads() -> bool:
 def start_beside(work: Callable[[], T]) -> Future[T]:
     """Start a work in a side thread; only where `has_side_threads`.
 
-    The work must not wait for other works in side threads.
+    Works start in the order of these calls, so a work may wait for those that were started before it.
     """
     import torch
 
