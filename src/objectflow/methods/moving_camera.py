@@ -89,9 +89,6 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """The motions of pairs from a static camera."""
 
-    def start(self, pair: FramePair) -> None:
-        """Start in side threads what needs only the frames, while the camera's motion is estimated: see `beside`."""
-
     def estimate(self, pair: FramePair) -> SceneMotion:
         """See `PairEstimator`. `camera_motion` of the result is set where the camera was found to move."""
         return self.estimate_batch([pair])[0]

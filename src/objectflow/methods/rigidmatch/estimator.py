@@ -134,8 +134,8 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         return dataclasses.replace(found, queries=queries, seed_radius=seed_radius)
 
     def start(self, pair: FramePair) -> None:
-        """See `StaticCameraEstimator`: evaluate XFeat, and the network if the camera is likely static."""
-        if next(self.network.parameters()).device.type != "cpu":
+        """See `PairEstimator`: XFeat is evaluated, and the network if the camera is likely static."""
+        if next(self.network.parameters()).device.type != "cpu" or (_DECODED, self.network) in pair.beside:
             return
         prev, curr = self._small(pair)
         likely_static = self.camera != "moving" and apparent_shift(pair.prev, pair.curr) <= self.likely_static_px

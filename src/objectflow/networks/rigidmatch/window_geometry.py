@@ -23,17 +23,17 @@ class WindowGeometry(nn.Module):
         """Logits to add to the correlation's.
 
         Args:
-            context: (B, 16, N) from `self.context`.
+            context: (B, 16, ...) of N cells, from `self.context`.
             logits: (B, N, S) correlation of each of the window's S cells.
             points: (B, N, S, 3) metres, the previous frame's.
-            match: (B, 3, N) metres, where the match is so far.
+            match: (B, 3, ...) metres, where the match is so far.
 
         Returns:
             (B, N, S).
         """
-        offset = (points - match.detach().transpose(-2, -1)[:, :, None]) * _DECIMETRES
+        offset = (points - match.detach().flatten(2).transpose(-2, -1)[:, :, None]) * _DECIMETRES
         length = offset.square().sum(-1, keepdim=True).clamp_min(1e-12).sqrt()
         features = torch.cat([offset, length, 0.1 * logits[..., None]], dim=-1).clamp(-20, 20)
-        hidden = torch.relu(self.window(features) + context.transpose(-2, -1)[:, :, None])
+        hidden = torch.relu(self.window(features) + context.flatten(2).transpose(-2, -1)[:, :, None])
         out: Tensor = self.out(hidden)[..., 0]
         return out
