@@ -32,7 +32,7 @@ class PairEstimator(ABC):
         """Estimate the motion between two prepared frames; see `Estimator`."""
 
     def start(self, pair: FramePair) -> None:
-        """Start in side threads what `estimate` needs of the frames alone, into `FramePair.beside`; by default nothing."""
+        """Start in side threads what `estimate` needs of the frames alone, into `FramePair.beside`."""
         return
 
     def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
