@@ -103,7 +103,7 @@ def truncated_costs(
     motions: Float64Array,
     curr: NDArray[np.floating[Any]],
     prev: NDArray[np.floating[Any]],
-    sigma: Float64Array,
+    sigma: NDArray[np.floating[Any]],
     limit: float,
 ) -> Float64Array:
     """The sum over points of the squared distance to the match, relative to its variance and at most a limit.
