@@ -67,7 +67,7 @@ class Settings:
     """Widths of the images, pixels; heights are three quarters of the widths."""
     seconds: float = 20.0
     """Duration of the recording for each row, seconds."""
-    min_gap: float = 0.3
+    min_gap: float = 0.2
     """Smallest time between two compared frames, seconds, as in `objectflow live`."""
     memory: bool = False
     """Print memory over a long run instead of latencies."""

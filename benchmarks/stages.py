@@ -1,7 +1,8 @@
 """Seconds of every stage of a method, for `latency.py --stages`.
 
 The functions that make up each stage are wrapped for the measurement. Time inside a nested stage counts for that stage
-alone, so that the stages add up to the whole.
+alone. With one thread, the stages add up to the whole. With more, some of them run beside each other, `rest` includes
+the wait for side threads, and the CPU time of a stage is that of the thread that runs it.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import functools
 import importlib
 import statistics
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -52,7 +54,7 @@ class StageClock:
     def __init__(self) -> None:
         self.wall: defaultdict[str, float] = defaultdict(float)
         self.cpu: defaultdict[str, float] = defaultdict(float)
-        self._open: list[list[float]] = []
+        self._thread = threading.local()
 
     def wrap(self, stage: str, work: Callable[..., Any]) -> Callable[..., Any]:
         """The function, whose own time counts for a stage."""
@@ -60,18 +62,19 @@ class StageClock:
         @functools.wraps(work)
         def timed(*arguments: Any, **options: Any) -> Any:
             inside = [0.0, 0.0]
-            self._open.append(inside)
-            wall, cpu = time.perf_counter(), time.process_time()
+            nested = vars(self._thread).setdefault("open", [])
+            nested.append(inside)
+            wall, cpu = time.perf_counter(), time.thread_time()
             try:
                 return work(*arguments, **options)
             finally:
-                spent = time.perf_counter() - wall, time.process_time() - cpu
-                self._open.pop()
+                spent = time.perf_counter() - wall, time.thread_time() - cpu
+                nested.pop()
                 self.wall[stage] += spent[0] - inside[0]
                 self.cpu[stage] += spent[1] - inside[1]
-                if self._open:
-                    self._open[-1][0] += spent[0]
-                    self._open[-1][1] += spent[1]
+                if nested:
+                    nested[-1][0] += spent[0]
+                    nested[-1][1] += spent[1]
 
         return timed
 
@@ -114,10 +117,12 @@ def measure_stages(method: str, width: int, pairs: int, threads: int) -> dict[st
     for scene in scenes:
         clock.wall.clear()
         clock.cpu.clear()
+        start = time.perf_counter(), time.process_time()
         whole(scene.prev, scene.curr)
+        spent = time.perf_counter() - start[0], time.process_time() - start[1]
         for stage in {*clock.wall, *rows}:
             rows[stage].append((clock.wall[stage], clock.cpu[stage]))
-        rows["whole"].append((sum(clock.wall.values()), sum(clock.cpu.values())))
+        rows["whole"].append(spent)
     missing = {stage: pairs - len(found) for stage, found in rows.items()}
     return {
         stage: tuple(statistics.median([*column, *[0.0] * missing[stage]]) for column in zip(*found, strict=True))

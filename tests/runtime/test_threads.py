@@ -84,3 +84,30 @@ def test_pickling_changes_no_result(method: str) -> None:
     again, pair_again, result_again = pickle.loads(pickle.dumps((estimator, pair, result)))
     assert result_again == result
     assert again(*pair_again) == result
+
+
+def test_one_and_two_threads_give_the_same_bits_before_a_static_camera(two_threads: None) -> None:
+    """With two threads, the network is evaluated beside the estimate of the camera's motion."""
+    scene = analytic.make_scene(3, width=320, height=240)
+    estimator = objectflow.load("rigidmatch", camera="auto")
+    pair = objectflow.FramePair(scene.prev, scene.curr)
+    estimator.start(pair)
+    assert len(pair.beside) == 1  # the camera is expected to be static
+    together = [estimator.estimate(pair), estimator(scene.prev, scene.curr)]
+    assert not pair.beside
+    torch.set_num_threads(1)
+    assert together == [estimator(scene.prev, scene.curr)] * 2
+
+
+def test_a_camera_that_moved_is_found_with_two_threads(two_threads: None) -> None:
+    prev_T_curr = np.eye(4)
+    prev_T_curr[0, 3] = 0.02
+    scene = analytic.make_scene(3, width=320, height=240, camera_motion=prev_T_curr)
+    estimator = objectflow.load("rigidmatch", likely_static_px=1e3)
+    pair = objectflow.FramePair(scene.prev, scene.curr)
+    found = estimator.estimate(pair)
+    expected = objectflow.load("rigidmatch", likely_static_px=0.0)(scene.prev, scene.curr)
+    assert found.camera_motion is not None
+    assert np.array_equal(found.camera_motion, expected.camera_motion)
+    assert np.array_equal(found.labels, expected.labels)
+    assert np.allclose(found.scene_flow, expected.scene_flow, atol=1e-5, equal_nan=True)

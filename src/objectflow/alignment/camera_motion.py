@@ -118,12 +118,13 @@ def dominant_motion(
         triplets = rng.integers(0, count, (settings.trials, 3))
         motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
         motions = np.concatenate([*candidates, motions[determined]])
-        squared = fitting.squared_errors(motions, matches.curr[judges], matches.prev[judges]) / sigma[judges] ** 2
         # MSAC weighs an inlier by how well it fits (Torr and Zisserman 2000).
-        cost = np.minimum(squared, limit).sum(1)
+        cost = fitting.truncated_costs(motions, matches.curr[judges], matches.prev[judges], sigma[judges], limit)
         best = int(cost.argmin())
         if cost[best] < least:
-            least, prev_T_curr, ratio = float(cost[best]), motions[best], float((squared[best] < limit).mean())
+            least, prev_T_curr = float(cost[best]), motions[best]
+            squared = fitting.squared_errors(motions[best, None], matches.curr[judges], matches.prev[judges])
+            ratio = float((squared / sigma[judges] ** 2 < limit).mean())
         drawn, candidates = drawn + settings.trials, []
         # A set of three is all inliers with probability ratio^3 (Fischler and Bolles 1981).
         if drawn >= settings.max_trials or (1 - ratio**3) ** drawn < settings.miss_probability:

@@ -34,6 +34,9 @@ class FitSettings(Settings):
 
 DEFAULTS = FitSettings()
 
+_BLOCK = 16384
+"""Products of motions and points per block in `truncated_costs`."""
+
 
 def fit_matches(
     matches: PixelMatches,
@@ -93,8 +96,34 @@ def _rough_fit(
     motions, determined = geometry.kabsch(matches.curr[triplets], matches.prev[triplets])
     everything, _ = geometry.kabsch(matches.curr, matches.prev, precision)
     motions = np.concatenate([everything[None], motions[determined]])
-    misfit = np.minimum(squared_errors(motions, matches.curr, matches.prev) / sigma**2, limit).sum(axis=1)
-    return np.asarray(motions[misfit.argmin()])
+    return np.asarray(motions[truncated_costs(motions, matches.curr, matches.prev, sigma, limit).argmin()])
+
+
+def truncated_costs(
+    motions: Float64Array,
+    curr: NDArray[np.floating[Any]],
+    prev: NDArray[np.floating[Any]],
+    sigma: NDArray[np.floating[Any]],
+    limit: float,
+) -> Float64Array:
+    """The sum over points of the squared distance to the match, relative to its variance and at most a limit.
+
+    Args:
+        motions: (K, 4, 4) `prev_T_curr`.
+        curr, prev: (N, 3) metres.
+        sigma: (N,) metres, standard deviation of each match.
+        limit: highest cost of a point.
+
+    Returns:
+        (K,) costs.
+    """
+    # Blocks that fit into the processor's cache take less than half the time.
+    size, variance = max(1, _BLOCK // max(1, len(curr))), sigma**2
+    costs = [
+        np.minimum(squared_errors(motions[start : start + size], curr, prev) / variance, limit).sum(axis=1)
+        for start in range(0, len(motions), size)
+    ]
+    return np.concatenate(costs)
 
 
 def squared_errors(

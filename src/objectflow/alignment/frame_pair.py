@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from concurrent.futures import Future
 from functools import cached_property
 from typing import Any
 
@@ -29,6 +30,8 @@ class FramePair:
         noise: the noise of their depth, to which thresholds in metres relate.
         matching: which matches between them are accepted.
         memo: what steps compute once and share, by their own keys.
+        beside: what side threads compute from the frames alone, by the keys of the steps that started it; pairs of the
+            same frames share it.
 
     Raises:
         FrameError: the frames differ in size or intrinsics.
@@ -47,6 +50,7 @@ class FramePair:
         self.noise, self.matching = noise, matching
         self._at: dict[int, FramePair] = {}
         self.memo: dict[object, Any] = {}
+        self.beside: dict[object, Future[Any]] = {}
         self._carried: tuple[FramePair, Float64Array] | None = None
         self._with_features: FramePair | None = None
 
@@ -70,7 +74,7 @@ class FramePair:
             return self
         pair = FramePair(self.prev, self.curr, noise=noise, matching=self.matching)
         pair._at = {width: smaller.with_noise(noise) for width, smaller in self._at.items()}
-        pair._carried = self._carried
+        pair._carried, pair.beside = self._carried, self.beside
         self._share(pair, "flow", "matches")  # they do not depend on the noise
         return pair
 
@@ -78,7 +82,9 @@ class FramePair:
         """The same prepared frames, matched under other settings."""
         if matching == self.matching:
             return self
-        return FramePair(self.prev, self.curr, noise=self.noise, matching=matching)
+        pair = FramePair(self.prev, self.curr, noise=self.noise, matching=matching)
+        pair.beside = self.beside
+        return pair
 
     @property
     def lacks_features(self) -> bool:

@@ -89,18 +89,19 @@ def fit_light_change(
         None where the colours of most pixels did not change, or changed in another way.
     """
     prev, curr = _compared_colors(pair.at_width(settings.width), prev_T_curr, settings)
+    if len(prev) < settings.min_pixels:
+        return None
+    before = np.quantile(np.abs(prev - curr).max(axis=1), settings.quantiles)
+    if before[0] < settings.min_change:
+        return None
     found = [_fit_channel(prev[:, k], curr[:, k], settings) for k in range(3)]
     gains, gammas = zip(*found, strict=True)
     change = LightChange(gains, gammas)
-    if len(prev) < settings.min_pixels:
-        return None
     if max(gammas) >= settings.max_gamma or min(gammas) <= 1 / settings.max_gamma:
         return None  # at a bound, the model does not hold
     corrected = change.apply(prev.astype(np.uint8)[:, None])[:, 0].astype(np.float32)
-    before, after = (np.quantile(np.abs(color - curr).max(axis=1), settings.quantiles) for color in (prev, corrected))
-    if before[0] < settings.min_change or (after > (1 - settings.min_reduction) * before).any():
-        return None
-    return change
+    after = np.quantile(np.abs(corrected - curr).max(axis=1), settings.quantiles)
+    return change if (after <= (1 - settings.min_reduction) * before).all() else None
 
 
 def in_current_light(pair: FramePair, change: LightChange) -> FramePair:

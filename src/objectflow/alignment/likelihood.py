@@ -109,11 +109,12 @@ def motion_cost(
             & (pixels[..., 1] < camera.height - 1)
         )
     u, v = np.where(inside, pixels[..., 0], 0), np.where(inside, pixels[..., 1], 0)
-    u0, v0 = u.astype(np.int32), v.astype(np.int32)
+    first, measured = v.astype(np.intp) * camera.width + u.astype(np.intp), prev.depth.ravel()
+    right, below = min(1, camera.width - 1), camera.width * min(1, camera.height - 1)  # images may be one pixel wide
     offset = np.full(z.shape, np.inf, np.float32)
     # The best of the four neighbours: at a depth edge, interpolated depth would lie on neither surface.
-    for du, dv in ((0, 0), (1, 0), (0, 1), (1, 1)):
-        seen = prev.depth[np.minimum(v0 + dv, camera.height - 1), np.minimum(u0 + du, camera.width - 1)]
+    for step in (0, right, below, below + right):
+        seen = measured.take(first + step)
         candidate = np.where(seen > 0, z - seen, np.inf)
         offset = np.where(np.abs(candidate) < np.abs(offset), candidate, offset)
     known = inside & np.isfinite(offset) & np.isfinite(z)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Future, wait
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -12,6 +14,7 @@ from objectflow import geometry
 from objectflow.alignment.appearance import AppearanceFeatures, to_gray
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.normals import surface_normals
+from objectflow.runtime.side_threads import has_side_threads, start_beside
 from objectflow.typing import BoolMask, Float32Array, UInt8Array
 
 GRAY_BLURS = (3.0, 1.0)
@@ -43,7 +46,7 @@ class PreparedFrame:
         self.frame = frame
         self.memo: dict[object, Any] = {}
         self._resized: dict[tuple[int, int], PreparedFrame] = {}
-        self._keypoints: dict[tuple[int, float], Keypoints] = {}
+        self._keypoints: dict[tuple[int, float], Keypoints | Future[Keypoints]] = {}
 
     @classmethod
     def of(cls, frame: RgbdFrame | PreparedFrame) -> PreparedFrame:
@@ -114,9 +117,31 @@ class PreparedFrame:
             min_contrast: SIFT's contrast threshold.
         """
         key = max_features, min_contrast
-        if key not in self._keypoints:
-            self._keypoints[key] = _detect(self.gray, max_features, min_contrast)
-        return self._keypoints[key]
+        found = self._keypoints.get(key)
+        if found is None:
+            found = _detect(self.gray, max_features, min_contrast)
+        elif isinstance(found, Future):
+            found = found.result()
+        self._keypoints[key] = found
+        return found
+
+    def start_keypoints(self, max_features: int, min_contrast: float, after: Sequence[Future[Any]] = ()) -> None:
+        """Start to detect the features of `keypoints` in a side thread, where there are any.
+
+        Args:
+            max_features, min_contrast: see `keypoints`.
+            after: works that are more urgent; detection waits for them.
+        """
+        key = max_features, min_contrast
+        if key in self._keypoints or not has_side_threads():
+            return
+        gray = self.gray
+
+        def detect() -> Keypoints:
+            wait(after)
+            return _detect(gray, max_features, min_contrast)
+
+        self._keypoints[key] = start_beside(detect)
 
 
 def _with_gradient(image: Float32Array) -> Float32Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
 from objectflow.geometry.resample import nearest_indices
 from objectflow.motion import ObjectMotion
+from objectflow.runtime.side_threads import side_by_side
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float64Array, LabelImage
 
@@ -73,18 +75,20 @@ def refine_objects(
     labels = labels[rows[:, None], columns]
     column, row = np.rint(matches.pixels).astype(np.intp).T
     owner = labels[np.clip(row, 0, labels.shape[0] - 1), np.clip(column, 0, labels.shape[1] - 1)]
-    out = []
-    for obj in objects:
-        source = pair.sources.take(labels == obj.id, limit=settings.max_points)
+    target, sources = pair.target, pair.sources
+
+    def refined(obj: ObjectMotion) -> ObjectMotion:
+        source = sources.take(labels == obj.id, limit=settings.max_points)
         initial = [obj.prev_T_curr]
         own = matches[owner == obj.id]
         if len(own.curr) >= settings.min_matches:
             initial.append(fitting.fit_matches(own, camera, noise=pair.noise, settings=settings.fit)[0])
-        motion = refine_one(pair.target, source, initial, settings)
-        refined = dataclasses.replace(obj, prev_T_curr=motion)
-        moving = is_moving(motion[:3, :3], refined.translation, settings.static_displacement)
-        out.append(dataclasses.replace(refined, moving=bool(moving)))
-    return tuple(out)
+        motion = refine_one(target, source, initial, settings)
+        found = dataclasses.replace(obj, prev_T_curr=motion)
+        moving = is_moving(motion[:3, :3], found.translation, settings.static_displacement)
+        return dataclasses.replace(found, moving=bool(moving))
+
+    return tuple(side_by_side(*(partial(refined, obj) for obj in objects)))
 
 
 def refine_one(

@@ -66,7 +66,7 @@ class Live(ViewArguments, SourceArguments, MethodArguments):
     rate: Annotated[int | None, option("HZ", "the driver's")] = None
     """Frames per second of a camera."""
 
-    min_gap: float = 0.3
+    min_gap: float = 0.2
     """Smallest time between two compared frames, seconds, so that slow objects move measurably."""
 
     speed: float = 1.0

@@ -7,9 +7,10 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.cli.run_pairs import ReadablePairs
 from objectflow.frame import RgbdFrame
-from objectflow.methods.base import Estimator
+from objectflow.methods.base import Estimator, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.runtime.make_pool import make_pool
 from objectflow.runtime.pool import Pool
@@ -32,8 +33,13 @@ class RunPair(NamedTuple):
     motion: SceneMotion | None = None
 
 
-PairJob = tuple[RgbdFrame, RgbdFrame] | None
-"""The frames that a worker estimates; None for a pair that is done, which keeps its place in the order."""
+RUN_PAIRS = 4
+"""Maximum number of consecutive pairs of one job. What a worker prepares of a frame serves both of its pairs; more
+pairs per job leave workers idle at the end of a recording."""
+
+FrameJob = tuple[RgbdFrame, ...]
+"""Consecutive frames, each pair of which a worker estimates; no frames for a pair that is done, which keeps its place
+in the order."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +54,20 @@ class EstimateFactory:
     estimator: Estimator
     workers: int | None
 
-    def __call__(self) -> Callable[[PairJob], SceneMotion | None]:
+    def __call__(self) -> Callable[[FrameJob], list[SceneMotion | None]]:
         """Make the function; called once in each worker."""
         share_cores(self.workers)
         return self._estimate
 
-    def _estimate(self, job: PairJob) -> SceneMotion | None:
-        return None if job is None else self.estimator(*job)
+    def _estimate(self, job: FrameJob) -> list[SceneMotion | None]:
+        if not job:
+            return [None]
+        pair = FramePair(job[0], job[1])
+        motions: list[SceneMotion | None] = [estimate_pair(self.estimator, pair)]
+        for frame in job[2:]:
+            pair = pair.followed_by(frame)
+            motions.append(estimate_pair(self.estimator, pair))
+        return motions
 
 
 def read_pairs(
@@ -78,7 +91,7 @@ def estimate_pairs(
     """The pairs in their order, each with its estimate where there are workers.
 
     Args:
-        pairs: a few of them are drawn ahead per worker.
+        pairs: a few jobs of `RUN_PAIRS` pairs are drawn ahead per worker.
         estimator: picklable where there are workers.
         workers, ray: see `make_pool`. One worker without Ray estimates nothing here: in its own process, a sequence
             estimates a pair with what it has prepared of the last one.
@@ -86,18 +99,36 @@ def estimate_pairs(
     if workers == 1 and ray is None:
         yield from pairs
         return
-    pool: Pool[PairJob, SceneMotion | None] = make_pool(
+    pool: Pool[FrameJob, list[SceneMotion | None]] = make_pool(
         EstimateFactory(estimator, workers if ray is None else None), workers, ray
     )
     waiting: deque[RunPair] = deque()
 
-    def jobs() -> Iterator[PairJob]:
+    def noted() -> Iterator[RunPair]:
         for pair in pairs:
             waiting.append(pair)
-            yield None if pair.prev is None or pair.curr is None else (pair.prev, pair.curr)
+            yield pair
 
     try:
-        for motion in pool.run(jobs()):
-            yield waiting.popleft()._replace(motion=motion)
+        for motions in pool.run(frame_jobs(noted())):
+            for motion in motions:
+                yield waiting.popleft()._replace(motion=motion)
     finally:
         pool.close()
+
+
+def frame_jobs(pairs: Iterable[RunPair]) -> Iterator[FrameJob]:
+    """The frames of up to `RUN_PAIRS` consecutive pairs at a time; no frames for each pair that is done."""
+    frames: list[RgbdFrame] = []
+    last = -1
+    for pair in pairs:
+        if frames and (pair.prev_index != last or pair.curr is None or len(frames) > RUN_PAIRS):
+            yield tuple(frames)
+            frames = []
+        last = pair.curr_index
+        if pair.prev is None or pair.curr is None:
+            yield ()
+        else:
+            frames += [pair.curr] if frames else [pair.prev, pair.curr]
+    if frames:
+        yield tuple(frames)

@@ -16,8 +16,6 @@ _MAX_STEP = 0.04
 """Largest difference of depth within a window, relative to depth: 75 degrees of tilt for a typical lens."""
 _STEP_MARGIN = 0.01
 """Metres, added to `_MAX_STEP` for noise."""
-_COMPLETE = 0.99
-"""Share of a window from which it is complete, in floating point."""
 
 
 def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
@@ -26,14 +24,13 @@ def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     A linear function is fitted to the inverse depth of each fully valid 5x5 window by box sums, since the inverse
     depth of a plane is linear in pixel coordinates.
     """
-    valid = (depth > 0).astype(np.float32)
-    inverse = np.where(depth > 0, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
-    size = (5, 5)
-    near = cv2.erode(np.where(depth > 0, depth, np.inf).astype(np.float32), np.ones(size))
-    far = cv2.dilate(depth, np.ones(size))
+    valid = depth > 0
+    inverse = np.where(valid, 1 / np.maximum(depth, 1e-6), 0).astype(np.float32, copy=False)
+    size, window = (5, 5), np.ones((5, 5), np.uint8)
+    near = cv2.erode(np.where(valid, depth, np.inf).astype(np.float32, copy=False), window)
+    far = cv2.dilate(depth, window)
     # A tilted surface also changes depth over five pixels.
-    level = far - near < _MAX_STEP * depth + _STEP_MARGIN
-    smooth = level & (cv2.boxFilter(valid, -1, size) > _COMPLETE) & (depth > 0)
+    smooth = (far - near < _MAX_STEP * depth + _STEP_MARGIN) & (cv2.erode(valid.view(np.uint8), window) > 0)
     kernel = np.arange(-2, 3, dtype=np.float32)
     ones = np.ones(5, np.float32)
     slope_u = cv2.sepFilter2D(inverse, -1, kernel / 50, ones)
@@ -44,7 +41,4 @@ def surface_normals(depth: NDArray[Any], camera: Camera) -> Float32Array:
     c = cv2.boxFilter(inverse, -1, size) - a * x - b * y[:, None]
     length = np.sqrt(a * a + b * b + c * c) + 1e-12
     smooth[:2] = smooth[-2:] = smooth[:, :2] = smooth[:, -2:] = False  # the window exceeds the image here
-    normals = np.empty((*depth.shape, 3), np.float32)
-    for axis, component in enumerate((a, b, c)):
-        normals[..., axis] = np.where(smooth, -component / length, np.float32(np.nan))
-    return normals
+    return np.asarray(cv2.merge([np.where(smooth, -one / length, np.float32(np.nan)) for one in (a, b, c)]))

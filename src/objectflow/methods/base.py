@@ -31,6 +31,10 @@ class PairEstimator(ABC):
     def estimate(self, pair: FramePair) -> SceneMotion:
         """Estimate the motion between two prepared frames; see `Estimator`."""
 
+    def start(self, pair: FramePair) -> None:
+        """Start in side threads what `estimate` needs of the frames alone, into `FramePair.beside`."""
+        return
+
     def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
         """Estimate several pairs; methods with a network evaluate it once for all of them."""
         return [self.estimate(pair) for pair in pairs]

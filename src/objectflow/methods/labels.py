@@ -21,6 +21,8 @@ def relabel_present(labels: LabelImage, objects: Objects) -> tuple[LabelImage, O
     number = np.zeros(len(counts), np.int32)
     number[[obj.id for obj in kept]] = np.arange(1, len(kept) + 1)
     renamed = tuple(dataclasses.replace(obj, id=int(number[obj.id]), pixels=int(counts[obj.id])) for obj in kept)
+    if (number == np.arange(len(number))).all():
+        return labels.astype(np.int32, copy=False), renamed
     return number[labels], renamed
 
 

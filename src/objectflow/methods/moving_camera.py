@@ -32,6 +32,7 @@ from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
 from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.runtime.side_threads import has_side_threads
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
 
@@ -100,6 +101,8 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         """
         start = time.perf_counter()
         pairs = list(pairs)
+        if len(pairs) == 1 and has_side_threads():
+            self.start(pairs[0])
         ready = [self._compensate(pair) for pair in pairs]
         static = iter(self.estimate_static([one.pair for one in ready if one.pair is not None]))
         motions = []

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -119,6 +122,12 @@ class Looks:
         """(N, 128) float32 of unit length."""
         words = self._words.astype(np.float32)
         return np.asarray(words / (np.linalg.norm(words, axis=1, keepdims=True) + 1e-7))
+
+
+def start_features(frame: PreparedFrame, settings: LooksSettings, after: Sequence[Future[Any]] = ()) -> None:
+    """Start to detect the features of a frame in a side thread; see `PreparedFrame.start_keypoints`."""
+    matching = settings.matching
+    frame.at_width(matching.feature_width).start_keypoints(matching.max_features, matching.min_contrast, after)
 
 
 def _features(frame: PreparedFrame, settings: LooksSettings) -> Keypoints:

@@ -12,13 +12,15 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import DEFAULTS as MATCHING
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
-from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
+from objectflow.runtime.side_threads import has_side_threads
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.longer_gap import LongerEstimate, LongerGaps, add_found
 from objectflow.tracking.look_back import add_earlier_masks, add_earlier_poses
+from objectflow.tracking.looks import start_features
 from objectflow.tracking.merge_objects import MovedTogether, merge_into
 from objectflow.tracking.model_motion import PairViews
 from objectflow.tracking.recent_frames import RecentFrame, RecentViews, revised_frames
@@ -158,6 +160,8 @@ class SequenceEstimator:
             return None
         # What the last estimate computed on its current frame is not computed again, nor are this estimate's matches.
         pair = FramePair(prev, frame, matching=getattr(self.estimator, "matching", MATCHING))
+        if has_side_threads():
+            self._start(pair, motion is None)
         found = estimate_pair(self.estimator, pair) if motion is None else motion
         if is_cut(pair, found, self.cuts):
             unknown = unknown_motion(found.labels.shape)
@@ -216,6 +220,14 @@ class SequenceEstimator:
         self._recent, self._longer_gaps = state["recent"], state["longer_gaps"]
         self._together = state["together"]
         self._time, self.segmentation = state["time"], state["segmentation"]
+
+    def _start(self, pair: FramePair, estimated: bool) -> None:
+        """Start in side threads the estimate, if there is one, and after it the features of objects that move."""
+        if estimated and isinstance(self.estimator, PairEstimator):
+            self.estimator.start(pair)
+        settings = self.known_objects.settings
+        if any(known.moved for known in self.known_objects.objects.values()):
+            start_features(pair.curr.at_width(settings.width), settings.follow.looks, list(pair.beside.values()))
 
     def _look_back(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
 from objectflow.networks.rigidmatch.inputs import Grid, cells
@@ -94,3 +95,20 @@ def test_masks_get_details_and_are_linear_between_their_cells() -> None:
     assert pixels.shape == (1, 2, 12, 16)
     torch.testing.assert_close(pixels[..., ::2, ::2], cells_)
     torch.testing.assert_close(pixels[..., 3, 4], (cells_[..., 1, 2] + cells_[..., 2, 2]) / 2)
+
+
+@pytest.mark.parametrize("window", [1, 2])
+def test_blocks_of_cells_give_the_same_matches(window: int) -> None:
+    """More cells than a block holds, so that the last block is smaller."""
+    generator = torch.Generator().manual_seed(0)
+    height, width = 30, 41
+    one, other = (torch.randn(2, 6, height, width, generator=generator) for _ in range(2))
+    prev = Grid(torch.randn(2, 3, height, width, generator=generator), torch.ones(2, 1, height, width))
+    place = 20 * torch.rand(2, 2, height, width, generator=generator)
+
+    def scorer(logits: torch.Tensor, points: torch.Tensor, part: slice) -> torch.Tensor:
+        return points.sum(-1) + torch.arange(height * width)[part, None] / 1000
+
+    whole, blocks = (update_matches(one, other, prev, place, window, scorer, blocks=flag) for flag in (False, True))
+    for expected, found in zip(whole, blocks, strict=True):
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from objectflow import geometry
+from objectflow.alignment.background_cost import background_cost
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.likelihood import EVERYWHERE, Box, LikelihoodSettings, motion_cost
 from objectflow.methods.consensus.pixel_graph import PixelGraph, PixelGraphSettings, split_regions
@@ -88,7 +89,8 @@ class Assignment:
         self._box, self._graph_settings = EVERYWHERE, graph
         self._costs: dict[tuple[bytes, bool], tuple[Box, Float32Array]] = {}
         self._others: Sequence[MovingMask] = ()
-        self.background_cost, self.hidden = self._motion_cost(self.background, EVERYWHERE, color=True, light=True)
+        self.background_cost, hidden = background_cost(pair, self.background, likelihood)
+        self.hidden = hidden.copy()  # `exclude` changes it
         self.rival_cost = self.background_cost
         self.informative = ~self.hidden if self.camera_moved else np.ones_like(self.hidden)
         depth = pair.curr.frame.depth
@@ -130,13 +132,11 @@ class Assignment:
         key = (prev_T_curr.tobytes(), color)
         if key not in self._costs or not _within(box, self._costs[key][0]):
             cost = np.full(self.valid.shape, self._likelihood.free_space_violation, np.float32)
-            cost[box] = self._motion_cost(prev_T_curr, box, color=color)[0]
+            cost[box] = self._motion_cost(prev_T_curr, box, color=color)
             self._costs[key] = box, cost
         return self._costs[key][1]
 
-    def _motion_cost(
-        self, prev_T_curr: Float64Array, box: Box, *, color: bool, light: bool = False
-    ) -> tuple[Float32Array, BoolMask]:
+    def _motion_cost(self, prev_T_curr: Float64Array, box: Box, *, color: bool) -> Float32Array:
         prev, curr = self.pair.prev, self.pair.curr
         appearance = (prev.appearance, curr.appearance) if color else None
         return motion_cost(
@@ -145,10 +145,9 @@ class Assignment:
             prev_T_curr,
             appearance,
             box,
-            light=light,
             noise=self.pair.noise,
             settings=self._likelihood,
-        )
+        )[0]
 
     def vanished_cost(self) -> tuple[Float32Array, BoolMask]:
         """Cost of the background's motion on the pixels of the previous frame, and which of them are hidden now."""

@@ -8,6 +8,7 @@ are perturbed and selected at ever finer levels, and the last few are registered
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
 from objectflow.methods.postprocess.settings import MotionSearchSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
+from objectflow.runtime.side_threads import side_by_side
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
 
 _AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float64)
@@ -78,7 +80,10 @@ def search_motions(
     if not doubted:
         return labels, objects
     frames = SearchLikelihood.of(pair, settings)
-    found = {number: _search(frames, likelihood, mask, motions[number], search) for number, mask in doubted.items()}
+    searches = (
+        partial(_search, frames, likelihood, mask, motions[number], search) for number, mask in doubted.items()
+    )
+    found = dict(zip(doubted, side_by_side(*searches), strict=True))
     tolerance = settings.static_test.static_displacement
     return labels, tuple(_with_motion(obj, found.get(obj.id, obj.prev_T_curr), tolerance) for obj in objects)
 

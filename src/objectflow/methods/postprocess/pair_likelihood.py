@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from objectflow import geometry
+from objectflow.alignment.background_cost import background_cost
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.likelihood import EVERYWHERE, Box, LikelihoodSettings, motion_cost
+from objectflow.alignment.likelihood import Box, LikelihoodSettings, motion_cost
 from objectflow.geometry.resample import nearest_indices
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
@@ -27,7 +28,6 @@ class PairLikelihood:
         self.pair, self._settings = pair.at_width(settings.width), settings
         self.points = self.pair.curr.points
         self._costs: dict[tuple[bytes, bytes, float | None], Float32Array] = {}
-        self._static: tuple[Float32Array, BoolMask] | None = None
         self._static_depth: tuple[Float32Array, BoolMask] | None = None
 
     @classmethod
@@ -61,7 +61,7 @@ class PairLikelihood:
             if not len(rows):
                 return np.zeros(0, np.float32)
             box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-            self._costs[key] = self._motion_cost(prev_T_curr, box, out_of_view)[0][mask[box]]
+            self._costs[key] = self._motion_cost(prev_T_curr, box, out_of_view)[mask[box]]
         return self._costs[key]
 
     def depth_cost(self, prev_T_curr: Float64Array, mask: BoolMask) -> Float32Array:
@@ -109,9 +109,7 @@ class PairLikelihood:
 
     def static_cost(self) -> tuple[Float32Array, BoolMask]:
         """(H, W) cost of standing still under any light, and (H, W) bool: pixels that were hidden."""
-        if self._static is None:
-            self._static = self._motion_cost(np.eye(4), EVERYWHERE, None, light=True)
-        return self._static
+        return background_cost(self.pair, np.eye(4), self._settings)
 
     def static_depth_cost(self) -> tuple[Float32Array, BoolMask]:
         """`static_cost` of depth alone."""
@@ -126,9 +124,7 @@ class PairLikelihood:
         """(N,) cost of the pixels of a mask, row by row, if they stood still under any light."""
         return np.asarray(self.static_cost()[0][mask])
 
-    def _motion_cost(
-        self, prev_T_curr: Float64Array, box: Box, out_of_view: float | None, *, light: bool = False
-    ) -> tuple[Float32Array, BoolMask]:
+    def _motion_cost(self, prev_T_curr: Float64Array, box: Box, out_of_view: float | None) -> Float32Array:
         prev, curr = self.pair.prev, self.pair.curr
         return motion_cost(
             prev.frame,
@@ -137,10 +133,9 @@ class PairLikelihood:
             (prev.appearance, curr.appearance),
             box,
             out_of_view=out_of_view,
-            light=light,
             noise=self.pair.noise,
             settings=self._settings,
-        )
+        )[0]
 
     def contact_ratio(self, labels: LabelImage, mask: BoolMask, max_depth_step: float) -> dict[int, float]:
         """Labels that touch a mask, with the share of the common border across which the surface is continuous.
@@ -152,24 +147,22 @@ class PairLikelihood:
             mask: (H, W).
             max_depth_step: metres between neighbouring pixels at which a surface ends.
         """
-        border: dict[int, list[int]] = {}
-        kernel = np.ones((5, 5), np.uint8)
-        rows, columns = np.nonzero(cv2.dilate(mask.astype(np.uint8), kernel))
+        rows, columns = np.nonzero(cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)))
         box = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
         own, depth, others = mask[box], self.pair.curr.frame.depth[box], np.where(mask, 0, labels)[box]
         others = np.where(depth > 0, others, 0)
+        count = 1 + int(others.max())
+        level, whole = np.zeros(count, np.int64), np.zeros(count, np.int64)
         for axis in (0, 1):
             for gap in (1, 2):
                 near, far = _shifted(own, axis, gap), _shifted(others, axis, gap)
                 step = np.abs(np.subtract(*_shifted(depth, axis, gap)))
                 for mine, other in ((near[0], far[1]), (near[1], far[0])):
                     touch = mine & (other > 0)
-                    for number in np.unique(other[touch]):
-                        these = touch & (other == number)
-                        counts = border.setdefault(int(number), [0, 0])
-                        counts[0] += int((step[these] < max_depth_step).sum())
-                        counts[1] += int(these.sum())
-        return {number: level / whole for number, (level, whole) in border.items()}
+                    number = other[touch]
+                    whole += np.bincount(number, minlength=count)
+                    level += np.bincount(number[step[touch] < max_depth_step], minlength=count)
+        return {int(number): int(level[number]) / int(whole[number]) for number in np.flatnonzero(whole)}
 
 
 def _shifted(image: NDArray[Any], axis: int, gap: int) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -16,6 +16,7 @@ from objectflow.methods.postprocess.changes import StepChange, describe_change
 from objectflow.methods.postprocess.merge_fragments import merge_fragments
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
+from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
 from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.settings import PostprocessSettings
@@ -72,6 +73,15 @@ def check_steps(settings: PostprocessSettings) -> None:
     unknown = [name for name in settings.steps if name not in STEPS]
     if unknown:
         raise SettingsError(f"setting postprocess.steps has no step {unknown[0]!r}: choose among {', '.join(STEPS)}")
+
+
+def prepare(pair: FramePair, settings: PostprocessSettings) -> None:
+    """Compute what the steps need of the frames alone, as while a network is evaluated."""
+    likelihood, wide = PairLikelihood.of(pair, settings.likelihood), pair.at_width(settings.refine.width)
+    likelihood.static_cost()
+    likelihood.static_depth_cost()
+    for name in ("target", "sources", "matches"):
+        getattr(wide, name)
 
 
 def postprocess(

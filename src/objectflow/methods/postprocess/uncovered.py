@@ -26,6 +26,7 @@ class RestingCosts:
         self._static, self._hidden = likelihood.static_cost()
         contrast = cv2.blur(likelihood.pair.curr.appearance.contrast[0], (5, 5))
         self._texture = np.minimum(contrast / settings.full_texture, 1)
+        self._sizes = np.bincount(labels.ravel(), minlength=1 + max((obj.id for obj in objects), default=0))
         self._footprints = {
             obj.id: self._footprint(obj.prev_T_curr, likelihood.mask(labels, obj.id)) for obj in objects if obj.moving
         }
@@ -33,16 +34,16 @@ class RestingCosts:
     def of(self, number: int) -> Float32Array:
         """(N,) cost of the pixels of an object that have depth, row by row."""
         mask = self._likelihood.mask(self._labels, number)
-        size = int(mask.sum())
-        occupied = np.zeros(mask.shape, bool)
+        static = self._static[mask]
+        occupied = np.zeros(len(static), bool)
         for other, footprint in self._footprints.items():
             # A small piece that moves with its neighbour is more probably background than the neighbour is.
-            if other != number and (self._labels == other).sum() > size:
-                occupied |= footprint
-        uncovered = mask & self._hidden & occupied
+            if other != number and self._sizes[other] > len(static):
+                occupied |= footprint[mask]
+        uncovered = self._hidden[mask] & occupied
         low = self._settings.uncovered_cost
-        reduced = low + np.maximum(self._static - low, 0) * self._texture
-        return np.where(uncovered, np.minimum(reduced, self._static), self._static)[mask].astype(np.float32)
+        reduced = low + np.maximum(static - low, 0) * self._texture[mask]
+        return np.where(uncovered, np.minimum(reduced, static), static).astype(np.float32)
 
     def _footprint(self, prev_T_curr: Float64Array, mask: BoolMask) -> BoolMask:
         """(H, W) bool: where an object was in the previous frame."""

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
+from objectflow.alignment.apparent_shift import apparent_shift
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.prepared_frame import PreparedFrame
@@ -19,12 +22,12 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import nearest_indices
 from objectflow.geometry.torch_pinhole import depth_factor
 from objectflow.methods.find_weights import find_weights
-from objectflow.methods.labels import relabel_present, rigid_flow
+from objectflow.methods.labels import Objects, relabel_present, rigid_flow
 from objectflow.methods.mask_edges import snap_to_edges
 from objectflow.methods.moving_camera import CompensationConfig, StaticCameraEstimator
 from objectflow.methods.network_io import same_size_groups, scaled_size, to_tensors, trained_size
 from objectflow.methods.postprocess.changes import StepChange
-from objectflow.methods.postprocess.pipeline import check_steps, postprocess
+from objectflow.methods.postprocess.pipeline import check_steps, postprocess, prepare
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.rigidmatch.decoding import (
     DUPLICATE_IOU,
@@ -41,10 +44,23 @@ from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput, RigidMa
 from objectflow.networks.rigidmatch.settings import MOST
 from objectflow.networks.weights import load_network, read_header
 from objectflow.runtime.devices import find_device
+from objectflow.runtime.side_threads import start_beside
 from objectflow.settings import setting
+from objectflow.typing import LabelImage
 
+_DECODED = "decoded"
+"""Part of the key of the network's objects in `FramePair.beside`."""
 SCALED_DEPTH = 0.75
 """Metres: median depth to which scenes are scaled that lie nearer or farther than those of the training data."""
+
+
+class _Decoded(NamedTuple):
+    """The network's output for one pair, its points (1, 3, h, w) in metres, its labels (h, w) and their objects."""
+
+    output: RigidMatchOutput
+    points: Tensor
+    labels: LabelImage
+    objects: Objects
 
 
 @dataclass(frozen=True)
@@ -76,6 +92,10 @@ class RigidMatchConfig(CompensationConfig):
     matching: MatchSettings = MatchSettings(feature_width=320, sufficient_flow_share=0.5)
     """The network finds large displacements of objects, so features serve large motions of the camera alone: they are
     matched where optical flow fails, and at half the size."""
+    likely_static_px: float = setting(0.6, minimum=0)
+    """Pixels, at a width of 320: median shift of the edges up to which the network is evaluated beside the estimate of
+    the camera's motion, where there are side threads. It is evaluated again if the camera moved after all, so this
+    decides about time alone."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
@@ -113,18 +133,56 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         seed_radius = found.seed_radius if self.seed_radius is None else self.seed_radius
         return dataclasses.replace(found, queries=queries, seed_radius=seed_radius)
 
+    def start(self, pair: FramePair) -> None:
+        """See `PairEstimator`: XFeat is evaluated, and the network if the camera is likely static."""
+        if next(self.network.parameters()).device.type != "cpu" or (_DECODED, self.network) in pair.beside:
+            return
+        prev, curr = self._small(pair)
+        likely_static = self.camera != "moving" and apparent_shift(pair.prev, pair.curr) <= self.likely_static_px
+        # A camera that moved gives another previous frame.
+        for frame in (curr, prev) if likely_static else (curr,):
+            if self.network.settings.xfeat != "none" and self._xfeat_key not in frame.memo:
+                frame.memo[self._xfeat_key] = start_beside(partial(self._xfeat, frame.frame))
+        if likely_static:
+            pair.beside[_DECODED, self.network] = start_beside(partial(self._decoded, [prev], [curr]))
+
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """See `StaticCameraEstimator`; the network is evaluated once for all pairs of one size."""
         motions: dict[int, SceneMotion] = {}
         for group in same_size_groups([scaled_size(pair.curr.frame, self.size) for pair in pairs]):
-            height, width = group.size
-            small = [
-                (pairs[k].prev.resized(width, height), pairs[k].curr.resized(width, height)) for k in group.members
-            ]
-            output, points = self.predict([one for one, _ in small], [other for _, other in small])
-            for place, k in enumerate(group.members):
-                motions[k] = self._finish(pairs[k], select(output, place), points[place : place + 1], group.size)
+            started = pairs[group.members[0]].beside.pop((_DECODED, self.network), None)
+            if started is None:
+                prev, curr = zip(*(self._small(pairs[k]) for k in group.members), strict=True)
+                found = self._decoded(prev, curr)
+            else:
+                if self.rigid == "refine":
+                    prepare(pairs[group.members[0]], self.postprocess)
+                found = started.result()
+            for k, decoded in zip(group.members, found, strict=True):
+                motions[k] = self._finish(pairs[k], decoded, group.size)
         return [motions[k] for k in range(len(pairs))]
+
+    def _small(self, pair: FramePair) -> tuple[PreparedFrame, PreparedFrame]:
+        """Both frames at the size of the network's input."""
+        height, width = scaled_size(pair.curr.frame, self.size)
+        return pair.prev.resized(width, height), pair.curr.resized(width, height)
+
+    def _decoded(self, prev: Sequence[PreparedFrame], curr: Sequence[PreparedFrame]) -> list[_Decoded]:
+        """The network's output on pairs of frames of one size, and its objects."""
+        output, points = self.predict(prev, curr)
+        found = []
+        for place, frame in enumerate(curr):
+            own = select(output, place)
+            labels, objects = decode(
+                own,
+                frame.frame.depth.shape,
+                threshold=self.threshold,
+                min_pixels=self.min_pixels,
+                overlap_threshold=self.overlap_threshold,
+                duplicate_iou=self.duplicate_iou,
+            )
+            found.append(_Decoded(own, points[place : place + 1], labels, objects))
+        return found
 
     def predict(
         self, prev: Sequence[RgbdFrame | PreparedFrame], curr: Sequence[RgbdFrame | PreparedFrame]
@@ -139,7 +197,6 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             (prev_color, prev_points), (curr_color, curr_points) = (
                 to_tensors([one.frame for one in frames], device) for frames in (before, after)
             )
-            known = self._known_features([*after, *before], [curr_color, prev_color])
             # The network is trained at one median depth; lengths are scaled back.
             factor = depth_factor(curr_points, self.network.settings.median_depth or SCALED_DEPTH)
             if not self.network.settings.median_depth:
@@ -147,19 +204,25 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
                 median = SCALED_DEPTH / factor
                 factor = torch.where((median < low) | (median > high), factor, torch.ones_like(factor))
             wide = factor[:, None, None, None]
+            known: dict[str, Any] = {}
+            if self.network.settings.xfeat != "none":
+                known["xfeat"] = partial(self._features, [*after, *before], [curr_color, prev_color])
             out: RigidMatchOutput = self.network(
                 prev_color, wide * prev_points, curr_color, wide * curr_points, table=False, **known
             )
         return out.rescaled(1 / factor), curr_points
 
-    def _known_features(self, frames: Sequence[PreparedFrame], colors: Sequence[Tensor]) -> dict[str, Tensor]:
-        """Arguments of the network: `xfeat`, the features of frames, whose colours are (B, 3, H, W) in all.
+    @property
+    def _xfeat_key(self) -> tuple[str, RigidMatch]:
+        """Key of XFeat's features in `PreparedFrame.memo`; the value is a tensor, or the future of one."""
+        return "xfeat", self.network
+
+    def _features(self, frames: Sequence[PreparedFrame], colors: Sequence[Tensor]) -> Tensor:
+        """XFeat's features of frames, whose colours are (B, 3, H, W) in all; they are kept with the frames.
 
         On a CPU, frames are evaluated one at a time, which takes no longer, and features do not depend on the batch.
         """
-        if self.network.settings.xfeat == "none":
-            return {}
-        key, color = ("xfeat", self.network), torch.cat(list(colors))
+        key, color = self._xfeat_key, torch.cat(list(colors))
         missing = [k for k, frame in enumerate(frames) if key not in frame.memo]
         parts = [color[k : k + 1] for k in missing]
         if parts and color.device.type != "cpu":
@@ -168,24 +231,23 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             found = [self.network.xfeat(part) for part in parts]
         for k, features in zip(missing, found, strict=True):
             frames[k].memo[key] = features
-        return {"xfeat": torch.cat([frame.memo[key] for frame in frames])}
+        kept = (frame.memo[key] for frame in frames)
+        return torch.cat([one.result() if isinstance(one, Future) else one for one in kept])
 
-    def _finish(self, pair: FramePair, output: RigidMatchOutput, seen: Tensor, size: tuple[int, int]) -> SceneMotion:
-        """One pair's output as objects on the pixels of its current frame."""
+    def _xfeat(self, frame: RgbdFrame) -> Tensor:
+        """XFeat's features of one frame."""
+        with torch.inference_mode():
+            color, _ = to_tensors([frame], torch.device("cpu"))
+            features: Tensor = self.network.xfeat(color)
+        return features
+
+    def _finish(self, pair: FramePair, decoded: _Decoded, size: tuple[int, int]) -> SceneMotion:
+        """One pair's objects on the pixels of its current frame."""
         curr, points = pair.curr.frame, pair.curr.points
-        # 1. Objects on the network's input.
-        labels_s, objects = decode(
-            output,
-            size,
-            threshold=self.threshold,
-            min_pixels=self.min_pixels,
-            overlap_threshold=self.overlap_threshold,
-            duplicate_iou=self.duplicate_iou,
-        )
-        # 2. The pixels of the frame.
-        rows, columns = nearest_indices(labels_s.shape, curr.depth.shape)
-        labels, objects = relabel_present(labels_s[rows[:, None], columns], objects)
-        # 3. The steps that verify and complete them.
+        # 1. The pixels of the frame.
+        rows, columns = nearest_indices(size, curr.depth.shape)
+        labels, objects = relabel_present(decoded.labels[rows[:, None], columns], decoded.objects)
+        # 2. The steps that verify and complete them.
         changes: list[StepChange] | None = [] if self.explain else None
         if self.rigid == "refine":
             settings = dataclasses.replace(self.postprocess, label_size=size)
@@ -193,9 +255,9 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         else:
             snapped = snap_to_edges(labels, pair.curr, size, pair.noise, self.postprocess.snap_to_edges)
             labels, objects = relabel_present(snapped, objects)
-        # 4. The flow of their motions.
+        # 3. The flow of their motions.
         if self.rigid == "none":
-            flow = matched_flow(output, seen, self.network.settings.fine_stride, labels, points)
+            flow = matched_flow(decoded.output, decoded.points, self.network.settings.fine_stride, labels, points)
         else:
             flow = rigid_flow(objects, labels, points)
         return SceneMotion(

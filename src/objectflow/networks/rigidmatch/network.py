@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -104,7 +105,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
-        xfeat: Tensor | None = None,
+        xfeat: Callable[[], Tensor] | None = None,
     ) -> RigidMatchOutput:
         """Predict objects and their motions from the current back to the previous frame.
 
@@ -113,7 +114,7 @@ class RigidMatch(nn.Module):
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
             table: return the table of all pairs' scores and the masks of every layer, which losses need; without it
                 there is no gradient.
-            xfeat: (2 B, 64, h, w) of `self.xfeat` on `curr_color` and `prev_color`, where they are known already.
+            xfeat: returns (2 B, 64, h, w) of `self.xfeat` on `curr_color` and `prev_color`; called after the encoder.
 
         Returns:
             All predictions, on the grids of images padded to a multiple of the coarsest stride.
@@ -153,7 +154,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
-        xfeat: Tensor | None = None,
+        xfeat: Callable[[], Tensor] | None = None,
     ) -> Features:
         """Everything but the motions; arguments as `forward`."""
         stride = self.settings.stride
@@ -170,7 +171,7 @@ class RigidMatch(nn.Module):
         use, descriptors, fine_descriptors = self.settings.xfeat, None, None
         if use != "none":
             image_size = (curr_color.shape[-2], curr_color.shape[-1])
-            features = self.xfeat(torch.cat([curr_color, prev_color])) if xfeat is None else xfeat
+            features = self.xfeat(torch.cat([curr_color, prev_color])) if xfeat is None else xfeat()
             fine_descriptors = sample_cells(features, image_size, stride // 2, (2 * size[0], 2 * size[1]))
             if use in ("input", "both"):
                 coarse = coarse + self.xfeat_input(fine_descriptors[..., ::2, ::2])
@@ -184,7 +185,7 @@ class RigidMatch(nn.Module):
         # 3. Global matching, then each match in a small window.
         matched = self.matching(tokens, curr, prev, descriptors, table=table)
         maps = as_map(tokens, size)
-        refined = self.refinement(fine, maps, matched, curr_fine, prev_fine, fine_descriptors)
+        refined = self.refinement(fine, maps, matched, curr_fine, prev_fine, fine_descriptors, blocks=not table)
         # 4. Dense predictions.
         current = [one.chunk(2)[0] for one in (stem, fine, maps)]
         dense = self.dense_head(*current, matched, refined, (curr, curr_fine))

@@ -21,7 +21,10 @@ _FIRST_SCALE, _LARGEST_SCALE = 8.0, 60.0
 _BARRED = -1e4
 
 
-Scorer = Callable[[Tensor, Tensor], Tensor]
+_CELLS = 512
+"""Cells per block at inference; the windows of a block fit into the processor's cache."""
+
+Scorer = Callable[[Tensor, Tensor, slice], Tensor]
 
 
 class FineMatch(NamedTuple):
@@ -67,6 +70,8 @@ class Refinement(nn.Module):
         curr: Grid,
         prev: Grid,
         descriptors: Tensor | None = None,
+        *,
+        blocks: bool = False,
     ) -> FineMatch:
         """Refine matches.
 
@@ -76,6 +81,7 @@ class Refinement(nn.Module):
             coarse: the coarse grid's matches.
             curr, prev: the fine grid's points.
             descriptors: (2 B, 64, H, W) of XFeat; None for networks without.
+            blocks: update matches in blocks, which takes half the time on a CPU.
         """
         here = fine.chunk(2)[0]
         coarse_here = tokens.chunk(2)[0]
@@ -102,7 +108,13 @@ class Refinement(nn.Module):
                 # Updates before the last only move the window: they have no gradient.
                 with torch.set_grad_enabled(last and torch.is_grad_enabled()):
                     logits, center, position, match, peak = update_matches(
-                        scale * one, other, prev, position.detach(), self.settings.window, self._scorer(context, match)
+                        scale * one,
+                        other,
+                        prev,
+                        position.detach(),
+                        self.settings.window,
+                        self._scorer(context, match),
+                        blocks=blocks,
                     )
         return FineMatch(match, confidence, logits, center, peak)
 
@@ -110,39 +122,80 @@ class Refinement(nn.Module):
         geometry = self.geometry
         if geometry is None or context is None:
             return None
-        given, reference = context, match.detach()
-        return lambda logits, points: geometry(given, logits, points, reference)
+        given, reference = context.flatten(2), match.detach().flatten(2)
+        return lambda logits, points, part: geometry(given[..., part], logits, points, reference[..., part])
 
 
 def update_matches(
-    one: Tensor, other: Tensor, prev: Grid, position: Tensor, window: int, scorer: Scorer | None = None
+    one: Tensor,
+    other: Tensor,
+    prev: Grid,
+    position: Tensor,
+    window: int,
+    scorer: Scorer | None = None,
+    *,
+    blocks: bool = False,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Logits, middle, expected position and point over a window around each position; and the largest probability.
 
-    `scorer` gives logits to add, from the correlation (B, N, S) and the points (B, N, S, 3) of the window's cells.
+    `scorer` gives logits to add, from the correlation (B, n, S) and the points (B, n, S, 3) of the windows of a slice
+    of the N cells. With `blocks`, cells are updated block by block.
     """
-    batch, channels, height, width = one.shape
-    side = 2 * window + 1
+    height, width = one.shape[-2:]
     limit = torch.tensor([width - 1, height - 1], device=one.device, dtype=position.dtype).reshape(1, 2, 1, 1)
     center = torch.minimum(position.round().clamp_min(0), limit).long()
-    offset = torch.arange(-window, window + 1, device=one.device)
-    steps = torch.stack([offset.repeat(side), offset.repeat_interleave(side)], dim=1)
-    column = center[:, 0].flatten(1)[..., None] + steps[:, 0]
-    row = center[:, 1].flatten(1)[..., None] + steps[:, 1]
-    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    index = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
-    start = torch.arange(batch, device=one.device)[:, None, None] * (height * width)
-    flat = (index + start).flatten()
     # One row per cell, gathered whole: point, validity, and the feature.
     table = torch.cat([prev.points, prev.valid, other], dim=1).flatten(2).transpose(-2, -1).flatten(0, 1)
-    found = table.index_select(0, flat).reshape(batch, height * width, side * side, -1)
-    points, valid, features = torch.split(found, [3, 1, channels], dim=-1)
-    logits = (features @ one.flatten(2).transpose(-2, -1)[..., None])[..., 0]
+    features, middle = one.flatten(2).transpose(-2, -1), center.flatten(2)
+    count = height * width
+    size = _CELLS if blocks else count
+    parts = [
+        _update_cells(table, features, middle, (height, width), window, scorer, slice(start, min(count, start + size)))
+        for start in range(0, count, size)
+    ]
+    logits, point, step, peak = (torch.cat(found, dim=1) for found in zip(*parts, strict=True))
+    moved = center + as_map(step, (height, width))
+    logits, point, peak = (as_map(found, (height, width)) for found in (logits, point, peak))
+    return logits, center, moved, point, peak
+
+
+def _update_cells(
+    table: Tensor,
+    features: Tensor,
+    center: Tensor,
+    size: tuple[int, int],
+    window: int,
+    scorer: Scorer | None,
+    part: slice,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The update of a slice of n cells.
+
+    Args:
+        table: (B N, 4 + C) point, validity and feature of the previous frame's cells.
+        features: (B, N, C) of the current cells.
+        center: (B, 2, N) column and row of each window's middle.
+        size: (H, W) of the grid.
+        window, scorer: see `update_matches`.
+        part: the cells.
+
+    Returns:
+        (B, n, S) logits, (B, n, 3) expected point, (B, n, 2) expected step from the middle, (B, n, 1) largest
+        probability.
+    """
+    height, width = size
+    side = 2 * window + 1
+    offset = torch.arange(-window, window + 1, device=table.device)
+    steps = torch.stack([offset.repeat(side), offset.repeat_interleave(side)], dim=1)
+    column, row = (center[:, axis, part, None] + steps[:, axis] for axis in (0, 1))
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    index = row.clamp(0, height - 1) * width + column.clamp(0, width - 1)
+    start = torch.arange(len(center), device=table.device)[:, None, None] * (height * width)
+    found = table.index_select(0, (index + start).flatten()).reshape(*index.shape, -1)
+    points, valid, others = torch.split(found, [3, 1, features.shape[-1]], dim=-1)
+    logits = (others @ features[:, part, :, None])[..., 0]
     if scorer is not None:
-        logits = logits + scorer(logits, points)
+        logits = logits + scorer(logits, points, part)
     logits = torch.where(inside & (valid[..., 0] > 0.5), logits, _BARRED)
     share = logits.softmax(dim=-1)
-    point = as_map((share[..., None, :] @ points)[..., 0, :], (height, width))
-    moved = center + as_map(share @ steps.to(share), (height, width))
-    peak = share.amax(dim=-1).reshape(batch, 1, height, width)
-    return as_map(logits, (height, width)), center, moved, point, peak
+    point = (share[..., None, :] @ points)[..., 0, :]
+    return logits, point, share @ steps.to(share), share.amax(dim=-1, keepdim=True)

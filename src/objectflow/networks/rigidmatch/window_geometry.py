@@ -23,10 +23,10 @@ class WindowGeometry(nn.Module):
         """Logits to add to the correlation's.
 
         Args:
-            context: (B, 16, H, W) from `self.context`.
-            logits: (B, N, S) correlation of each of the window's S cells, N = H W.
+            context: (B, 16, ...) of N cells, from `self.context`.
+            logits: (B, N, S) correlation of each of the window's S cells.
             points: (B, N, S, 3) metres, the previous frame's.
-            match: (B, 3, H, W) metres, where the match is so far.
+            match: (B, 3, ...) metres, where the match is so far.
 
         Returns:
             (B, N, S).
