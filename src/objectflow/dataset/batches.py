@@ -166,10 +166,15 @@ class Batches:
                     raise DatasetError(records)
                 keys = tuple(self.keys[row] for row in rows)
                 yield _unpack(keys, records.numpy().view(self._reader.type))
+            return
         except RuntimeError as error:
             if "worker" not in str(error):
                 raise
-            raise DatasetError(f"a process that reads data ended: too little memory for {self.workers}?") from error
+        except (OSError, EOFError):  # while it passed a batch
+            if not self.workers:
+                raise
+        # Raised here, the error keeps no frame of the loader alive, which reports a dead process at every signal.
+        raise DatasetError(f"a process that reads data ended: too little memory for {self.workers}?")
 
 
 class _Steps:
