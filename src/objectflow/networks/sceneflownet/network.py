@@ -139,7 +139,6 @@ class SceneFlowNet(nn.Module):
         # The encoders are Siamese: both frames form one batch.
         curr_features, prev_features = self.color_encoder(torch.cat([curr_color, prev_color])).chunk(2)
         curr_geometry, prev_geometry = self.shape_encoder(torch.cat([curr_shape, prev_shape])).chunk(2)
-        prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
         reach = self.settings.reach
         if self.sharpness is not None:
             curr_features, prev_features = F.normalize(curr_features, dim=1), F.normalize(prev_features, dim=1)
@@ -153,6 +152,7 @@ class SceneFlowNet(nn.Module):
             weights = torch.relu(correlation)
         parts = [curr_geometry, prev_geometry, weighted_max_pool(weights, prev_geometry, reach)]
         if self.settings.displacement:
+            prev_cells, curr_cells = (shape[..., ::_STRIDE, ::_STRIDE] for shape in (prev_shape, curr_shape))
             window = self.settings.displacement_window
             displacement = expected_displacement(correlation, prev_cells, curr_cells, reach, window=window)
             parts.append(displacement)
