@@ -54,11 +54,12 @@ def test_a_batch_equals_its_pairs_one_by_one(weights: Path, rigid: str) -> None:
     for pair, motion in zip(scenes, found, strict=True):
         alone = estimator(pair.prev, pair.curr)
         np.testing.assert_array_equal(motion.labels, alone.labels)
-        np.testing.assert_allclose(motion.scene_flow, alone.scene_flow, atol=1e-5)
+        np.testing.assert_allclose(motion.scene_flow, alone.scene_flow, atol=1e-4)
         assert len(motion.objects) == len(alone.objects)
         for one, other in zip(motion.objects, alone.objects, strict=True):
             assert (one.id, one.pixels, one.moving) == (other.id, other.pixels, other.moving)
-            np.testing.assert_allclose(one.prev_T_curr, other.prev_T_curr, atol=1e-5)
+            # Registration ends when a step is small, and starts from maps that differ in their last bits.
+            np.testing.assert_allclose(one.prev_T_curr, other.prev_T_curr, atol=1e-4)
             np.testing.assert_allclose(one.center, other.center, atol=1e-5)
             assert one.score == pytest.approx(other.score, abs=1e-5)
         assert motion.settings == alone.settings

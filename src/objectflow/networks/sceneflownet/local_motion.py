@@ -80,8 +80,8 @@ def _fit(columns: Tensor, center: Tensor, scale: float, tolerance: float) -> tup
 
 
 def _distances(points: Tensor) -> Tensor:
-    """(N, K, 3) -> (N, K, K) distances."""
-    return (points[:, :, None] - points[:, None]).square().sum(-1).sqrt()
+    """(N, K, 3) -> (N, K, K) distances, exact also between near points."""
+    return torch.cdist(points, points, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def _quaternion(H: Tensor) -> Tensor:
