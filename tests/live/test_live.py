@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from helpers.paths import ROOT
+from helpers.plate_scenes import PlateScene
 from objectflow.cli import main
 from objectflow.errors import ReaderError
 from objectflow.frame import RgbdFrame
@@ -58,7 +59,7 @@ def test_a_slow_method_gets_the_newest_frame_and_the_others_are_dropped() -> Non
 
     estimator = RecordingEstimator()
     with NewestFrame(source()) as newest:
-        steps = follow(newest, estimator, Tracker())
+        steps = follow(newest, estimator, Tracker(), skip_explained=False)
         # The first frame must be taken before the second arrives.
         threading.Timer(0.05, first.set).start()
         step = next(steps)
@@ -256,3 +257,55 @@ def test_a_playback_leaves_out_broken_frames_and_shortens_pauses() -> None:
     assert played == [(0, 0.0), (2, 1.5), (4, 2.0), (5, 2.5)]
     with pytest.raises(ReaderError, match="frame 0 is broken"):
         list(replay(Clocked([0.0, 0.1], broken={0, 1}), clock=lambda: 0.0, sleep=lambda _: None))
+
+
+def test_a_few_earlier_frames_are_kept_at_a_distance() -> None:
+    """Frames arrive every 0.1 s; of those 0.2 s apart, the last three are kept."""
+    now = [0.0]
+
+    def source() -> Iterator[RgbdFrame]:
+        for number in range(10):
+            yield frame(number)
+            now[0] += 0.1
+
+    with NewestFrame(source(), keep=3, spacing=0.19, clock=lambda: now[0]) as newest:
+        while newest.take(8, timeout=5) is None:
+            pass
+        assert [one.number for one in newest.earlier(-1)] == [4, 6, 8]
+        assert [one.number for one in newest.earlier(4)] == [6, 8]
+        assert [one.arrived for one in newest.earlier(6)] == pytest.approx([0.8])
+
+
+class Busy(Given):
+    """Serves given frames; `kept` are those that arrived during the estimate of the first pair."""
+
+    def __init__(self, frames: list[FrameTaken], kept: list[FrameTaken]) -> None:
+        super().__init__(frames)
+        self.kept = kept
+
+    def earlier(self, after: int) -> list[FrameTaken]:
+        return [one for one in self.kept if one.number > after]
+
+
+def test_after_an_estimate_known_objects_are_followed_through_the_frames_that_arrived_meanwhile() -> None:
+    scene = PlateScene()
+    frames = [scene.frame(number, {1: (-0.25 + 0.03 * number, 0.0, 1.0)}) for number in range(9)]
+    taken = [FrameTaken(number, one, 0) for number, one in enumerate(frames)]
+    estimates: list[tuple[float | None, float | None]] = []
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        estimates.append((prev.timestamp, curr.timestamp))
+        return scene.motion(round(curr.timestamp or 0), since=round(prev.timestamp or 0))
+
+    source = Busy([*taken[:2], taken[7], taken[7], taken[8]], taken[2:7])
+    steps = list(follow(source, estimate, Tracker(), min_gap=1))
+    # From frame 1 halfway to the newest one, 7, then to the newest one.
+    assert [step.times for step in steps] == [(0, 1), (1, 4), (4, 7), (7, 8)]
+    assert [step.dropped for step in steps] == [0, 2, 2, 0]
+    assert estimates == [(0, 1)]
+    shifts = [step.motion.objects[0].displacement for step in steps]
+    assert shifts == pytest.approx([0.03, 0.09, 0.09, 0.03], abs=0.003)
+    source = Busy([*taken[:2], taken[7], taken[8]], taken[2:7])
+    estimates.clear()
+    assert [step.times for step in follow(source, estimate, Tracker(), min_gap=1, skip_explained=False)][1] == (1, 7)
+    assert estimates[:3] == [(0, 1), (1, 7), (7, 8)]

@@ -23,8 +23,7 @@ from objectflow.storage.locked_folder import SETTINGS, FolderKind
 from objectflow.storage.temporaries import sweep
 from objectflow.tracking.model_files import INDEX, MODELS
 from objectflow.tracking.reconstruction import SequenceView
-from objectflow.tracking.track import Track
-from objectflow.tracking.tracker import next_camera_pose
+from objectflow.tracking.track import Track, next_camera_pose
 from objectflow.tracking.trajectory_files import TRACKS
 from objectflow.typing import LabelImage
 from objectflow.view.run_page.contents import model_poses

@@ -204,3 +204,8 @@ def nearest_rotation(matrix: ArrayLike) -> tuple[Float64Array, Float64Array]:
     U, singular, Vt = np.linalg.svd(np.asarray(matrix, dtype=np.float64))
     U[..., 2] *= np.where(np.linalg.det(U @ Vt) < 0, -1.0, 1.0)[..., None]
     return np.asarray(U @ Vt), singular
+
+
+def nearest_rigid(matrix: Float64Array) -> Float64Array:
+    """(4, 4) transform with its rotation orthonormal again, as after long products."""
+    return make_transform(nearest_rotation(matrix[:3, :3])[0], matrix[:3, 3])

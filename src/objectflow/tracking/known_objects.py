@@ -12,22 +12,16 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
-from objectflow.tracking.fine_step import NeighbourFrame, fine_step
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.known_step import Starts, known_step
 from objectflow.tracking.model_evidence import ModelEvidence, starts_in_mask
 from objectflow.tracking.model_fit import FrameView
-from objectflow.tracking.model_motion import (
-    ModelPose,
-    PairViews,
-    best_pose,
-    matched_motion,
-    model_motion,
-)
+from objectflow.tracking.model_motion import ModelPose, PairViews, best_pose
 from objectflow.tracking.parts import resting_part
 from objectflow.tracking.surface_model import SurfaceModel, new_model
 from objectflow.tracking.tracker import Tracker
-from objectflow.typing import BoolMask, Float64Array, LabelImage
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 
 class KnownObjects:
@@ -94,37 +88,20 @@ class KnownObjects:
         """
         if not tracker.world_T_camera:
             return ()
-        curr_T_world = geometry.inverse(tracker.world_T_camera[-1])
         followed: list[int] = []
         lost: list[int] = []
+        motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
         for number in sorted(set(self.objects) & tracker.alive - set(tracks.values())):
-            known = self.objects[number]
-            rest = curr_T_world @ known.world_T_object
-            fit = views.curr.fit(known.model, rest)
-            seen = (fit.fits | fit.missing).sum() >= self.settings.follow.min_points
-            dropped = known.present - fit.present >= self.settings.follow.min_drop
-            if seen and fit.present >= self.settings.follow.max_rest and not dropped:
-                if known.moved:
-                    starts = self._starts(views, number, motion, tracker, rest)
-                    neighbour = NeighbourFrame(views.prev, views.prev_T_curr)
-                    fine = fine_step(views.curr, neighbour, known.model, rest, starts, self.settings.earlier)
-                    if fine is not None and fine.moved:
-                        pose = tracker.world_T_camera[-1] @ fine.camera_T_object
-                        tracker.follow(number, prev_time, time, pose, fine.present)
-                        followed.append(number)
-                continue
-            found = None
-            # A model that fits as badly as in the last frame is inexact or half hidden, and does not move.
-            if seen and (known.moved or dropped):
-                starts = self._starts(views, number, motion, tracker, rest)
-                found = model_motion(views, known.model, rest, starts, self.settings.follow)
+            starts = Starts(self._rest(number, tracker), tracker.predicted_in_camera(number), motions)
+            step = known_step(views, number, self.objects[number], starts, self.settings)
+            if step.lost:
+                lost.append(number)
+            found = step.moved
             if found is None:
-                if not seen or fit.present < self.settings.min_present:
-                    lost.append(number)
-            elif not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, tracker):
-                tracker.follow(
-                    number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
-                )
+                continue
+            if step.fine or not self._is_claimed(views.curr, number, found.curr_T_object, motion, tracks, tracker):
+                pose = tracker.world_T_camera[-1] @ found.curr_T_object
+                tracker.follow(number, prev_time, time, pose, found.present)
                 followed.append(number)
         # One lost object per frame bounds the time; the one that was not searched for longest is next.
         self._searches += 1
@@ -138,19 +115,9 @@ class KnownObjects:
                 followed.append(number)
         return tuple(sorted(followed))
 
-    def _starts(
-        self, views: PairViews, number: int, motion: SceneMotion, tracker: Tracker, rest: Float64Array
-    ) -> list[Float64Array]:
-        """Initial poses `curr_T_object` of a moving object: at rest, at its last speed, and by motions of the pair."""
-        starts = [rest]
-        predicted = tracker.predicted(number)
-        if predicted is not None:
-            starts.append(geometry.inverse(tracker.world_T_camera[-1]) @ predicted)
-        motions = [obj.prev_T_curr for obj in motion.objects if obj.moving]
-        matched = matched_motion(views, number, self.settings.follow)
-        if matched is not None:
-            motions.append(matched)
-        return starts + [geometry.inverse(prev_T_curr) @ views.prev_T_curr @ rest for prev_T_curr in motions]
+    def _rest(self, number: int, tracker: Tracker) -> Float64Array:
+        """(4, 4) `curr_T_object` of an object at its last pose."""
+        return geometry.inverse(tracker.world_T_camera[-1]) @ self.objects[number].world_T_object
 
     def _search(
         self,
@@ -209,7 +176,7 @@ class KnownObjects:
             view: the current frame.
         """
         taken = np.zeros(view.frame.frame.depth.shape, bool)
-        for number in followed:
+        for number in followed if masks else ():
             taken |= view.mask(self.objects[number].model, poses[number])[0]
         if not taken.any():
             return dict(masks)
@@ -228,6 +195,7 @@ class KnownObjects:
         tracker: Tracker,
         shape: tuple[int, ...],
         followed: Collection[int] = (),
+        shown: Mapping[int, tuple[BoolMask, Float32Array]] | None = None,
     ) -> LabelImage:
         """Compare the models with the current frame, and extend those of the objects that moved.
 
@@ -241,6 +209,7 @@ class KnownObjects:
             tracker: after this update.
             shape: (H, W) of the result, that of the frame.
             followed: track ids of the objects that were followed by their models.
+            shown: `FrameView.mask` of objects at their poses, by track id, where it is known already.
 
         Returns:
             (H, W) int32, the track id of each pixel that shows a known object, 0 elsewhere.
@@ -276,7 +245,7 @@ class KnownObjects:
                 known.model.count(fit.fits, fit.missing)
             elif self.objects[number].moved:
                 self.rested.add(number)
-                self._rest(self.objects[number], track.world_T_object, view, curr_T_world)
+                self._come_to_rest(self.objects[number], track.world_T_object, view, curr_T_world)
             if number not in self.objects:
                 continue
             known = self.objects[number]
@@ -288,7 +257,7 @@ class KnownObjects:
                 # A pair's mask also contains surface that the model has not seen before.
                 regions[number], depths[number] = masks[number] & view.frame.valid, view.frame.frame.depth
             elif known.present >= self.settings.min_present:
-                mask, depth = view.mask(known.model, pose)
+                mask, depth = (shown or {}).get(number) or view.mask(known.model, pose)
                 if mask.sum() >= self.settings.min_pixels:
                     regions[number], depths[number] = mask, depth
         tracker.keep(number for number, known in self.objects.items() if known.present >= self.settings.min_present)
@@ -359,7 +328,7 @@ class KnownObjects:
         known.world_T_object, known.moved = poses[-1], True
         known.looks.add(view.frame, mask, curr_T_world @ poses[-1], self.settings.follow.looks)
 
-    def _rest(
+    def _come_to_rest(
         self, known: KnownObject, poses: list[Float64Array], view: FrameView, curr_T_world: Float64Array
     ) -> None:
         """Register an object that came to rest; its track continues from the registered pose."""

@@ -12,6 +12,7 @@ from objectflow.tracking.follow_settings import FollowSettings
 from objectflow.tracking.longer_gap_settings import LongerGapSettings
 from objectflow.tracking.merge_settings import MergeSettings
 from objectflow.tracking.pose_cost import PoseCostSettings
+from objectflow.tracking.unexplained_change import UnexplainedChangeSettings
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,8 @@ class KnownSettings(Settings):
     """How an object that has just been found is followed back in time."""
     longer_gap: LongerGapSettings = LongerGapSettings()
     """When a frame is also compared with an older one than the previous one."""
+    change: UnexplainedChangeSettings = UnexplainedChangeSettings()
+    """Which changes standing still and the known objects do not explain."""
     merge: MergeSettings = MergeSettings()
     """When two known objects are pieces of one."""
     max_correction: float = setting(0.02, minimum=0)

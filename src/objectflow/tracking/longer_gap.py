@@ -9,7 +9,6 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.alignment.likelihood import motion_cost
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.resample import resize_nearest
 from objectflow.methods.base import Estimator, estimate_pair
@@ -24,6 +23,7 @@ from objectflow.tracking.model_motion import PairViews
 from objectflow.tracking.recent_frames import RecentViews
 from objectflow.tracking.surface_model import new_model
 from objectflow.tracking.tracker import Tracker
+from objectflow.tracking.unexplained_change import UnexplainedChangeSettings, has_unexplained_change
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 
@@ -42,8 +42,14 @@ class LongerEstimate(NamedTuple):
 class LongerGaps:
     """Compares frames with older ones where something changed that no known object explains. It can be pickled."""
 
-    def __init__(self, settings: LongerGapSettings) -> None:
-        self._settings = settings
+    def __init__(self, settings: LongerGapSettings, change: UnexplainedChangeSettings) -> None:
+        """Start.
+
+        Args:
+            settings: when frames are compared.
+            change: what counts as a change.
+        """
+        self._settings, self._change = settings, change
         self._saved = 1.0
 
     def estimate(
@@ -72,43 +78,15 @@ class LongerGaps:
             return None
         older = recent.frames[number]
         older_T_curr = geometry.inverse(older.world_T_camera) @ world_T_camera
-        prepared = recent.view(number).frame
-        if not self._has_changed(prepared, views, older_T_curr, known, recent.known(number) > 0):
+        frames = recent.view(number).frame, views.curr.frame
+        both_known = recent.known(number) > 0, known
+        if not has_unexplained_change(frames, older_T_curr, both_known, views.curr.noise, self._change):
             return None
         self._saved -= 1
         if given is not None and given.prev_time == older.time:
             return given
         pair = FramePair(PreparedFrame(older.frame), views.pair.curr)
         return LongerEstimate(older.time, estimate_pair(estimator, pair))
-
-    def _has_changed(
-        self,
-        older: PreparedFrame,
-        views: PairViews,
-        older_T_curr: Float64Array,
-        known: BoolMask,
-        known_before: BoolMask,
-    ) -> bool:
-        """Whether a region cannot have stood still, beside the objects that are known in either frame."""
-        settings, likelihood = self._settings, self._settings.likelihood
-        prev, curr = older.at_width(likelihood.width), views.curr.frame.at_width(likelihood.width)
-        cost, hidden = motion_cost(
-            prev.frame,
-            curr.points,
-            older_T_curr,
-            (prev.appearance, curr.appearance),
-            light=True,
-            noise=views.curr.noise,
-            settings=likelihood,
-        )
-        explained = _at_size(known, cost.shape)
-        explained |= _seen_before(curr, prev, older_T_curr, _at_size(known_before, cost.shape))
-        size = 2 * settings.rim + 1
-        around = cv2.dilate(explained.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
-        changed = (cost >= settings.changed_cost) & ~hidden & curr.valid & ~around
-        opened = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-        _, _, stats, _ = cv2.connectedComponentsWithStats(opened)
-        return bool((stats[1:, cv2.CC_STAT_AREA] >= settings.min_share * cost.size).any())
 
 
 def add_found(
@@ -224,15 +202,3 @@ def _whole(
 
 def _at_size(mask: BoolMask, shape: tuple[int, ...]) -> BoolMask:
     return np.asarray(resize_nearest(mask.astype(np.uint8), shape) > 0)
-
-
-def _seen_before(
-    curr: PreparedFrame, prev: PreparedFrame, prev_T_curr: Float64Array, known_before: BoolMask
-) -> BoolMask:
-    """(H, W) bool: the current pixels in whose place an older frame shows a known object."""
-    camera = prev.frame.camera
-    pixels = np.rint(geometry.project(geometry.transform(prev_T_curr, curr.points), camera))
-    column = np.nan_to_num(pixels[..., 0], nan=-1).clip(-1, camera.width).astype(np.int64)
-    row = np.nan_to_num(pixels[..., 1], nan=-1).clip(-1, camera.height).astype(np.int64)
-    inside = (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
-    return np.asarray(inside & known_before[np.where(inside, row, 0), np.where(inside, column, 0)])

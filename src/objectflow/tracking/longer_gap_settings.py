@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from objectflow.alignment.likelihood import LikelihoodSettings
 from objectflow.settings import Settings, setting
 
 
@@ -14,14 +13,8 @@ class LongerGapSettings(Settings):
 
     gap: int = setting(4, minimum=2)
     """Number of frames between the two; fewer at the start of a world."""
-    likelihood: LikelihoodSettings = LikelihoodSettings()
-    """Costs of standing still, by which changes are found."""
-    changed_cost: float = setting(1.5, minimum=0)
-    """Cost of standing still from which a pixel counts as changed."""
-    min_share: float = setting(0.0005, minimum=0, maximum=1)
-    """Share of the image: smallest changed region that no known object explains, at which the frames are compared."""
     rim: int = setting(3, minimum=0)
-    """Pixels, at the width of the likelihood, around known objects whose changes these explain."""
+    """Pixels around what is found, within which a known object is the same if it moved alike."""
     pairs_per_estimate: int = setting(5, minimum=1)
     """Number of pairs per estimate between frames farther apart, in the long run; it bounds the time."""
     max_saved: int = setting(2, minimum=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from time import perf_counter as clock
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.runtime.side_threads import has_side_threads
+from objectflow.tracking.explained_step import explained_step, may_be_explained
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.longer_gap import LongerEstimate, LongerGaps, add_found
@@ -50,6 +52,7 @@ class SequenceStep:
             for the first time is followed back, and one that comes apart is two objects in earlier frames too.
         longer: an estimate between this frame and one before `prev`, where something changed that `motion` and the
             known objects do not explain; None in most steps.
+        estimated: False where the known objects explained the pair, and `motion` comes from their models.
     """
 
     prev: RgbdFrame
@@ -61,6 +64,7 @@ class SequenceStep:
     followed: tuple[int, ...] = ()
     revised: Mapping[float, LabelImage] = field(default_factory=dict)
     longer: LongerEstimate | None = None
+    estimated: bool = True
 
 
 class _Found(NamedTuple):
@@ -100,6 +104,7 @@ class SequenceEstimator:
         tracker: Tracker | None = None,
         settings: KnownSettings | None = None,
         cuts: CutSettings | None = None,
+        skip_explained: bool = False,
     ) -> None:
         """Prepare a sequence.
 
@@ -108,17 +113,21 @@ class SequenceEstimator:
             tracker: a new one, for settings other than the default.
             settings: of the known objects.
             cuts: when two frames show different scenes.
+            skip_explained: estimate no pair of a static camera in which standing still and the motions of the known
+                objects explain every change; their models give its motion, in a fraction of the time.
         """
         self.estimator = estimator
+        self.skip_explained = skip_explained
         self.cuts = cuts or CutSettings()
         self.tracker = tracker or Tracker()
         self.known_objects = KnownObjects(settings)
-        self.noise = RunningNoise(self.known_objects.settings.noise_pairs, self.known_objects.settings.noise)
+        settings = self.known_objects.settings
+        self.noise = RunningNoise(settings.noise_pairs, settings.noise)
         self.segmentation: LabelImage | None = None
         self._last: PreparedFrame | None = None
         self._time = 0.0
         self._recent: tuple[RecentFrame, ...] = ()
-        self._longer_gaps = LongerGaps(self.known_objects.settings.longer_gap)
+        self._longer_gaps = LongerGaps(settings.longer_gap, settings.change)
         self._together = MovedTogether(self.known_objects.settings.merge)
 
     @property
@@ -160,6 +169,8 @@ class SequenceEstimator:
             return None
         # What the last estimate computed on its current frame is not computed again, nor are this estimate's matches.
         pair = FramePair(prev, frame, matching=getattr(self.estimator, "matching", MATCHING))
+        if self.skip_explained and motion is None and (step := self._explain(pair, time)) is not None:
+            return step
         if has_side_threads():
             self._start(pair, motion is None)
         found = estimate_pair(self.estimator, pair) if motion is None else motion
@@ -182,8 +193,7 @@ class SequenceEstimator:
         back = self._look_back(views, found, known, time, longer, {*tracks.values(), *followed})
         followed = tuple(sorted(back.moved - set(tracks.values())))
         tracks = {label: back.pieces.get(number, number) for label, number in tracks.items()}
-        self._last, self._time, self.segmentation = pair.curr, time, known
-        self._remember(frame, time, known)
+        self._finish(pair.curr, time, known)
         times = prev_time, time
         return SequenceStep(prev.frame, frame, times, found, tracks, known, followed, back.revised, back.longer)
 
@@ -220,6 +230,65 @@ class SequenceEstimator:
         self._recent, self._longer_gaps = state["recent"], state["longer_gaps"]
         self._together = state["together"]
         self._time, self.segmentation = state["time"], state["segmentation"]
+
+    def explain(self, frame: RgbdFrame, time: float) -> SequenceStep | None:
+        """Add the next frame only if the known objects explain every change in it; see `skip_explained`.
+
+        Args:
+            frame, time: as in `update`.
+
+        Returns:
+            The result; None where an estimate is needed, and nothing is added.
+
+        Raises:
+            FrameError: as in `update`.
+        """
+        if self._last is None:
+            return None
+        matching = getattr(self.estimator, "matching", MATCHING)
+        return self._explain(FramePair(self._last, frame, matching=matching), time)
+
+    def _explain(self, pair: FramePair, time: float) -> SequenceStep | None:
+        """`explain` for a prepared pair."""
+        objects, tracker, prev_time, start = self.known_objects, self.tracker, self._time, clock()
+        if not tracker.world_T_camera or not may_be_explained(pair, self.segmentation, objects.settings):
+            return None
+        view, static = objects.view(pair.curr, self.noise.noise), np.eye(4)
+        views = PairViews(pair, objects.view(pair.prev, view.noise), view, static, self.segmentation)
+        found = explained_step(views, objects.objects, tracker, time, objects.settings)
+        if found is None:
+            return None
+        motion = replace(found.motion, seconds=clock() - start)
+        self.noise.add(pair, motion)
+        shape = motion.labels.shape
+        nothing = SceneMotion(np.zeros(shape, np.int32), motion.scene_flow)
+        tracker.update(prev_time, pair.curr.frame, time, nothing)
+        labels = {number: label for label, number in found.tracks.items()}
+        for number, pose in found.poses.items():
+            world_T_object = tracker.world_T_camera[-1] @ pose.curr_T_object
+            tracker.follow(number, prev_time, time, world_T_object, pose.present, labels.get(number, 0))
+        known = objects.update(view, nothing, {}, tracker, shape, found.poses, found.shown)
+        back = self._look_back(views, motion, known, time, None, found.poses)
+        tracks = {label: back.pieces.get(number, number) for label, number in found.tracks.items()}
+        followed = tuple(sorted(back.moved - set(tracks.values())))
+        self._finish(pair.curr, time, known)
+        return SequenceStep(
+            pair.prev.frame,
+            pair.curr.frame,
+            (prev_time, time),
+            motion,
+            tracks,
+            known,
+            followed,
+            back.revised,
+            back.longer,
+            estimated=False,
+        )
+
+    def _finish(self, curr: PreparedFrame, time: float, known: LabelImage) -> None:
+        """Make a frame the last one."""
+        self._last, self._time, self.segmentation = curr, time, known
+        self._remember(curr.frame, time, known)
 
     def _start(self, pair: FramePair, estimated: bool) -> None:
         """Start in side threads the estimate, if there is one, and after it the features of objects that move."""

@@ -12,6 +12,7 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
+from objectflow.motion import SceneMotion
 from objectflow.tracking.bounding_box import OrientedBox, smallest_box
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.model_fit import FrameView
@@ -65,6 +66,19 @@ class Track:
         self.labels[:0] = [0] * len(times)
         self.scores[:0] = scores
 
+    def rest_until(self, time: float) -> None:
+        """Add the last pose again at a later time, until which the object is assumed to have rested."""
+        if self.times[-1] < time:
+            self.times.append(time)
+            self.world_T_object.append(self.world_T_object[-1])
+            self.labels.append(0)
+            self.scores.append(self.scores[-1])
+
+    def keep_last(self, count: int) -> None:
+        """Delete all but the last poses."""
+        del self.times[:-count], self.world_T_object[:-count], self.labels[:-count], self.scores[:-count]
+        self.gaps = [time for time in self.gaps if time >= self.times[0]]
+
     def points(
         self,
         frame: RgbdFrame,
@@ -99,3 +113,18 @@ class Track:
         It bounds the surface that was seen. `world_T_object[-1] @ object_T_box` is its latest pose in the world.
         """
         return None if self.model is None else smallest_box(self.model.points)
+
+
+def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64Array | None:
+    """The camera's pose in the current frame of a pair.
+
+    Args:
+        world_T_prev: (4, 4) pose in the previous frame.
+        motion: the estimate for the pair.
+
+    Returns:
+        (4, 4), or None where the camera is lost: poses cannot be continued, and the next frame starts a new world.
+    """
+    if not motion.camera_known:
+        return None
+    return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion

@@ -20,7 +20,7 @@ from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking.evidence import Evidence
 from objectflow.tracking.seen_surface import SeenSurface, color_histogram, footprint_overlap, seen_surface
-from objectflow.tracking.track import Track
+from objectflow.tracking.track import Track, next_camera_pose
 from objectflow.tracking.tracker_settings import TrackerSettings
 from objectflow.typing import Float64Array, UInt8Array
 
@@ -141,21 +141,31 @@ class Tracker:
         self._trim()
         return found
 
-    def follow(self, number: int, prev_time: float, time: float, world_T_object: Float64Array, score: float) -> None:
-        """Add a step of a track that the estimate of the latest pair lacks; its label is 0.
+    def follow(
+        self,
+        number: int,
+        prev_time: float,
+        time: float,
+        world_T_object: Float64Array,
+        score: float,
+        label: int = 0,
+    ) -> None:
+        """Add a step of a track that the estimate of the latest pair lacks.
 
         Args:
             number: of the track, which has no pose at this time.
             prev_time, time: of the pair.
             world_T_object: (4, 4) the pose at `time`.
             score: of the step, 0..1.
+            label: of the object in the label image of the pair, 0 for none.
         """
         track, state = self._tracks[number], self._states[number]
-        self._rest_until(track, prev_time)
+        track.rest_until(prev_time)
+        world_T_object = geometry.nearest_rigid(world_T_object)
         step = world_T_object @ geometry.inverse(track.world_T_object[-1])
         track.times.append(time)
         track.world_T_object.append(world_T_object)
-        track.labels.append(0)
+        track.labels.append(label)
         track.scores.append(score)
         track.gaps = [gap for gap in track.gaps if gap != time]
         points = geometry.transform(step, state.points)
@@ -231,15 +241,29 @@ class Tracker:
         """The tracks that have not ended."""
         return set(self._states)
 
-    def predicted(self, number: int) -> Float64Array | None:
-        """(4, 4) pose of a track if it moves as in its last step; None where it rested, or has no pose any more.
+    def predicted_in_camera(self, number: int) -> Float64Array | None:
+        """(4, 4) `curr_T_object` of a track if it moves as in its last step; None where it rested, or has no pose.
 
         It holds after `update`, for a track that the pair did not move.
         """
         state = self._states.get(number)
         if state is None or not 0 < state.age <= self.settings.coast:
             return None
-        return np.linalg.matrix_power(state.world_step, state.age) @ self._tracks[number].world_T_object[-1]
+        step = np.linalg.matrix_power(state.world_step, state.age)
+        pose = geometry.nearest_rigid(step @ self._tracks[number].world_T_object[-1])
+        return geometry.inverse(self.world_T_camera[-1]) @ pose
+
+    def extrapolated(self, number: int, time: float) -> Float64Array | None:
+        """(4, 4) `world_T_object` of a track at a later time, at the speed of its last step.
+
+        None where it did not move in the latest pair.
+        """
+        track, state = self._tracks[number], self._states.get(number)
+        if state is None or state.age or len(track.times) < 2:
+            return None
+        twist = geometry.se3_log(geometry.nearest_rigid(state.world_step))
+        steps = (time - track.times[-1]) / (track.times[-1] - track.times[-2])
+        return geometry.nearest_rigid(geometry.se3_exp(steps * twist) @ track.world_T_object[-1])
 
     def reset(self) -> None:
         """Discard the state, as after a cut of the sequence; objects of the next pair get new ids."""
@@ -346,7 +370,7 @@ class Tracker:
         """The track with this id, or a new one that starts at the object's position in the previous frame."""
         if track_id is not None:
             track = self._tracks[track_id]
-            self._rest_until(track, prev_time)
+            track.rest_until(prev_time)
             return track
         start = np.eye(4)
         start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
@@ -354,15 +378,6 @@ class Tracker:
         self._tracks[self._next] = track
         self._next += 1
         return track
-
-    @staticmethod
-    def _rest_until(track: Track, prev_time: float) -> None:
-        """Add a pose at a pair's previous frame, until which the object is assumed to have rested."""
-        if track.times[-1] < prev_time:
-            track.times.append(prev_time)
-            track.world_T_object.append(track.world_T_object[-1])
-            track.labels.append(0)
-            track.scores.append(track.scores[-1])
 
     def _age(self, associated: set[int]) -> None:
         """Age the tracks without an association, and end those older than `max_age`."""
@@ -381,20 +396,4 @@ class Tracker:
             return
         del self.camera_times[:-keep], self.world_T_camera[:-keep]
         for track in self._tracks.values():
-            del track.times[:-keep], track.world_T_object[:-keep], track.labels[:-keep], track.scores[:-keep]
-            track.gaps = [time for time in track.gaps if time >= track.times[0]]
-
-
-def next_camera_pose(world_T_prev: Float64Array, motion: SceneMotion) -> Float64Array | None:
-    """The camera's pose in the current frame of a pair.
-
-    Args:
-        world_T_prev: (4, 4) pose in the previous frame.
-        motion: the estimate for the pair.
-
-    Returns:
-        (4, 4), or None where the camera is lost: poses cannot be continued, and the next frame starts a new world.
-    """
-    if not motion.camera_known:
-        return None
-    return world_T_prev.copy() if motion.camera_motion is None else world_T_prev @ motion.camera_motion
+            track.keep_last(keep)

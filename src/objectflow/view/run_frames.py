@@ -11,8 +11,8 @@ from objectflow.errors import ResultError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
 from objectflow.readers import FrameSource
-from objectflow.tracking.track import Track
-from objectflow.tracking.tracker import Tracker, next_camera_pose
+from objectflow.tracking.track import Track, next_camera_pose
+from objectflow.tracking.tracker import Tracker
 from objectflow.typing import Float64Array, LabelImage
 from objectflow.view.run_page.contents import pose_at
 from objectflow.view.viewer_frames import ViewerFrame, check_size, posed_frames, tracked_frames
