@@ -58,6 +58,8 @@ class Settings:
     """Maximum number of sequences."""
     noise: float = 1.0
     """Standard deviation of depth, in those of a structured-light camera; 0 for exact depth."""
+    skip_explained: bool = False
+    """Estimate no pair that the known objects explain, as `objectflow live` does."""
     meshes: Path | None = None
     """Folder for the meshes; None to write none."""
 
@@ -92,9 +94,10 @@ def main(settings: Settings) -> None:
     scores = {method: Score() for method in (*estimators, ORACLE)}
     for number, frames in enumerate(sequences):
         images = [noisy(row.image, settings.noise, number) for row in frames]
+        skip = settings.skip_explained
         for method, estimator in (estimators | {ORACLE: None}).items():
             folder = None if settings.meshes is None else settings.meshes / method / frames[0].sequence
-            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder)
+            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder, skip)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
     tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
@@ -126,6 +129,7 @@ def add_sequence(
     images: Sequence[RgbdFrame],
     estimate_between: Callable[[int, int], SceneMotion],
     folder: Path | None,
+    skip_explained: bool,
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
     numbers = {id(image): number for number, image in enumerate(images)}
@@ -137,7 +141,7 @@ def add_sequence(
             score.estimating += time.process_time() - began
         return found
 
-    sequence = SequenceEstimator(estimate)
+    sequence = SequenceEstimator(estimate, skip_explained=skip_explained)
     last: dict[int, int] = {}
     starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}

@@ -53,16 +53,16 @@ def may_be_explained(pair: FramePair, prev_known: LabelImage | None, settings: K
     Args:
         pair: the frames.
         prev_known: (H, W) int32 masks of the known objects in the previous frame; None without any.
-        settings: `change` applies.
+        settings: `explained` applies.
     """
     prev, curr = (frame.at_width(WIDTH).frame.depth for frame in (pair.prev, pair.curr))
     # What moves by itself shows another depth, or is a known object.
-    moved = (np.abs(curr - prev) > settings.change.depth_change * prev).astype(np.uint8)
+    moved = (np.abs(curr - prev) > settings.explained.depth_change * prev).astype(np.uint8)
     if prev_known is not None:
         moved |= resize_nearest((prev_known > 0).astype(np.uint8), moved.shape)
-    size = 2 * settings.change.moving_rim + 1
+    size = 2 * settings.explained.moving_rim + 1
     moving = cv2.dilate(moved, np.ones((size, size), np.uint8)) > 0
-    return apparent_shift(pair.prev, pair.curr, moving) <= settings.change.max_shift_px
+    return apparent_shift(pair.prev, pair.curr, moving) <= settings.explained.max_shift_px
 
 
 def explained_step(
@@ -116,7 +116,7 @@ def explained_step(
         known |= mask
     before = np.zeros(known.shape, bool) if views.prev_known is None else views.prev_known > 0
     frames = views.prev.frame, views.curr.frame
-    if has_unexplained_change(frames, views.prev_T_curr, (before, known), views.curr.noise, settings.change):
+    if has_unexplained_change(frames, views.prev_T_curr, (before, known), views.curr.noise, settings.explained):
         return None
     motion, tracks = _motion(views, masks, poses, dict(zip(numbers, starts, strict=True)))
     return ExplainedStep(motion, tracks, poses, shown)

@@ -61,7 +61,9 @@ class KnownSettings(Settings):
     longer_gap: LongerGapSettings = LongerGapSettings()
     """When a frame is also compared with an older one than the previous one."""
     change: UnexplainedChangeSettings = UnexplainedChangeSettings()
-    """Which changes standing still and the known objects do not explain."""
+    """Which changes since an older frame standing still and the known objects do not explain."""
+    explained: UnexplainedChangeSettings = UnexplainedChangeSettings(min_share=0.0002, rim=1)
+    """The same since the previous frame, where pairs that they explain are not estimated."""
     merge: MergeSettings = MergeSettings()
     """When two known objects are pieces of one."""
     max_correction: float = setting(0.02, minimum=0)
