@@ -16,7 +16,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
-from objectflow.methods.postprocess.static_test import MotionEvidence, find_evidence, reject_static
+from objectflow.methods.postprocess.static_test import MotionEvidence, find_evidence, reject_static, rest_hidden
 from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
 from objectflow.typing import Float64Array
@@ -109,6 +109,27 @@ def test_a_hidden_object_moved_only_if_the_network_is_confident(score: float, co
     _, (obj,) = reject_static(FramePair(frame(1.0, 0.7), frame(1.0)), LABELS, (patch_object(FAR, score),), settings)
     assert obj.moving is moving
     assert np.array_equal(obj.prev_T_curr, FAR if moving else np.eye(4))
+
+
+def test_what_may_have_been_hidden_rests_where_no_motion_explains_it_better() -> None:
+    """A piece of wall of which something hid the left quarter, however confident the network is."""
+    prev = frame(1.0)
+    prev.depth[20:40, 30:35] = 0.7
+    hidden, back = FramePair(prev, frame(1.0)), geometry.make_transform(np.eye(3), [0.0, 0.0, 0.2])
+    _, (obj,) = rest_hidden(hidden, LABELS, (patch_object(FAR, 0.95),), DEFAULTS)
+    assert (obj.moving, obj.score) == (False, 0.95)
+    np.testing.assert_array_equal(obj.prev_T_curr, np.eye(4))
+    # In front of the wall, it would violate free space, so it moved; and another motion explains it.
+    for pair, motion in (
+        (FramePair(frame(1.0), frame(1.0, 0.8)), FAR),
+        (FramePair(frame(1.0), frame(1.0, 0.8)), back),
+    ):
+        start = patch_object(motion, 0.1)
+        assert rest_hidden(pair, LABELS, (start,), DEFAULTS)[1] == (start,)
+    resting = dataclasses.replace(patch_object(np.eye(4), 0.95), moving=False)
+    assert rest_hidden(hidden, LABELS, (resting,), DEFAULTS)[1] == (resting,)
+    strict = dataclasses.replace(DEFAULTS, static_test=StaticTestSettings(hidden_cost=0.2))
+    assert rest_hidden(hidden, LABELS, (patch_object(FAR, 0.95),), strict)[1][0].moving
 
 
 def test_the_evidence_is_the_mean_difference_of_the_costs() -> None:

@@ -21,7 +21,7 @@ from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
 from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.split_objects import split_objects
-from objectflow.methods.postprocess.static_test import reject_static
+from objectflow.methods.postprocess.static_test import reject_static, rest_hidden
 from objectflow.typing import LabelImage
 
 Step = Callable[[FramePair, LabelImage, Objects, PostprocessSettings], tuple[LabelImage, Objects]]
@@ -58,6 +58,7 @@ STEPS: dict[str, Step] = {
     "reassign": reassign_pixels,  # pixels follow the motion that explains them
     "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
+    "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
     "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
     "confidence": set_confidence,  # scores of moving objects by their likelihood
 }

@@ -30,6 +30,9 @@ class StaticTestSettings(Settings):
     edges produce a few such pixels anywhere."""
     network_confidence: float = setting(0.3, minimum=0, maximum=1)
     """Probability of an object from which the network decides where the frames give no evidence."""
+    hidden_cost: float = setting(1.9, minimum=0)
+    """Mean cost of standing still up to which an object may have been hidden in part, where no motion explains it
+    better; that of a pixel that was hidden is 2, and 6 if it would violate free space (`rest_hidden`)."""
     static_displacement: float = setting(STATIC_DISPLACEMENT, minimum=0)
     """Metres: an object that moves by less counts as static."""
     uncovered_cost: float = setting(1.5, minimum=0)
@@ -349,7 +352,8 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "motion_search", "merge",
-        "reassign", "merge", "missed_objects", "static_test", "drop_uncertain", "confidence",
+        "reassign", "merge", "missed_objects", "static_test", "rest_hidden",
+        "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None

@@ -81,6 +81,37 @@ def reject_static(
     return labels, tuple(out)
 
 
+def rest_hidden(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    """Give objects the identity as motion that may have been hidden before, where no motion explains them better.
+
+    What lies behind an object that left is uncovered by it. The network may take it for an object that moved; at the
+    end of all searches, no motion explains it better than standing still, which contradicts nothing.
+
+    Args:
+        pair: the frames, from a static camera.
+        labels: (H, W) int32.
+        objects: with their final motions.
+        settings: `static_test` and `likelihood` apply.
+
+    Returns:
+        The same labels and objects; those that may have been hidden are static.
+    """
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
+    small = likelihood.downscale(labels)
+    resting = RestingCosts(likelihood, small, objects, settings.static_test)
+    out = []
+    for obj in objects:
+        mask, rests = likelihood.mask(small, obj.id), False
+        if obj.moving and mask.any():
+            static = resting.of(obj.id)
+            gain = float((static - likelihood.cost(obj.prev_T_curr, mask)).mean())
+            rests = gain <= 0 and float(static.mean()) <= settings.static_test.hidden_cost
+        out.append(dataclasses.replace(obj, prev_T_curr=np.eye(4), moving=False) if rests else obj)
+    return labels, tuple(out)
+
+
 def _is_shadow(
     likelihood: PairLikelihood, small: LabelImage, obj: ObjectMotion, objects: Objects, settings: StaticTestSettings
 ) -> bool:
