@@ -114,6 +114,26 @@ def test_every_pair_of_a_moving_camera_is_estimated() -> None:
     assert set(asked) >= {1.0, 2.0, 3.0}
 
 
+def test_every_pair_is_estimated_where_the_user_says_that_the_camera_moves() -> None:
+    """A slow motion of the camera may not be seen in one pair, but adds up."""
+    scene = PlateScene()
+    frames = [scene.frame(number, pushed(1)[0]) for number in range(4)]
+
+    class Moving:
+        camera = "moving"
+        estimated = 0
+
+        def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+            self.estimated += 1
+            return scene.motion(1)
+
+    estimator = Moving()
+    sequence = SequenceEstimator(estimator, skip_explained=True)
+    for frame in frames:
+        sequence.update(frame)
+    assert estimator.estimated == 3
+
+
 def test_explain_adds_nothing_where_an_estimate_is_needed() -> None:
     scene, sequence, steps, _ = play(pushed(4))
     count = len(sequence.tracks[0].times)

@@ -251,7 +251,9 @@ class SequenceEstimator:
     def _explain(self, pair: FramePair, time: float) -> SequenceStep | None:
         """`explain` for a prepared pair."""
         objects, tracker, prev_time, start = self.known_objects, self.tracker, self._time, clock()
-        if not tracker.world_T_camera or not may_be_explained(pair, self.segmentation, objects.settings):
+        if not tracker.world_T_camera or getattr(self.estimator, "camera", "auto") == "moving":
+            return None
+        if not may_be_explained(pair, self.segmentation, objects.settings):
             return None
         view, static = objects.view(pair.curr, self.noise.noise), np.eye(4)
         views = PairViews(pair, objects.view(pair.prev, view.noise), view, static, self.segmentation)
