@@ -6,7 +6,6 @@ fraction of the time of an estimate; where something else changed, the caller es
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import cv2
@@ -18,10 +17,9 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.geometry.resample import resize_nearest
 from objectflow.methods.labels import rigid_flow, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.runtime.side_threads import side_by_side
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.known_step import KnownStep, Starts, known_step
+from objectflow.tracking.known_step import Starts, known_step
 from objectflow.tracking.model_motion import ModelPose, PairViews
 from objectflow.tracking.tracker import Tracker
 from objectflow.tracking.unexplained_change import has_unexplained_change
@@ -88,26 +86,22 @@ def explained_step(
         predicted = None if pose is None else camera_T_world @ pose
         starts.append(Starts(camera_T_world @ objects[number].world_T_object, predicted))
 
-    def step(place: int) -> KnownStep:
-        number = numbers[place]
-        return known_step(views, number, objects[number], starts[place], settings, quick=True)
-
-    steps = side_by_side(*(partial(step, place) for place in range(len(numbers))))
+    # One after the other: threads take longer, since registration consists of many short computations, between which
+    # they wait for the interpreter.
+    steps = [
+        known_step(views, number, objects[number], start, settings, quick=True)
+        for number, start in zip(numbers, starts, strict=True)
+    ]
     poses: dict[int, ModelPose] = {}
     for number, one in zip(numbers, steps, strict=True):
         if one.lost and objects[number].present >= settings.min_present:
             return None
         if one.moved is not None:
             poses[number] = one.moved
-    rendered = side_by_side(
-        *(
-            partial(
-                views.curr.mask, objects[number].model, poses[number].curr_T_object if number in poses else start.rest
-            )
-            for number, start in zip(numbers, starts, strict=True)
-        )
-    )
-    shown = dict(zip(numbers, rendered, strict=True))
+    shown = {
+        number: views.curr.mask(objects[number].model, poses[number].curr_T_object if number in poses else start.rest)
+        for number, start in zip(numbers, starts, strict=True)
+    }
     masks = {number: mask for number, (mask, _) in shown.items()}
     if any(masks[number].sum() < settings.min_pixels or _is_claimed(number, masks, settings) for number in poses):
         return None
