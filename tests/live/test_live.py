@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -309,3 +310,16 @@ def test_after_an_estimate_known_objects_are_followed_through_the_frames_that_ar
     estimates.clear()
     assert [step.times for step in follow(source, estimate, Tracker(), min_gap=1, skip_explained=False)][1] == (1, 7)
     assert estimates[:3] == [(0, 1), (1, 7), (7, 8)]
+
+
+def test_kept_frames_without_time_stamps_have_the_times_of_their_arrival() -> None:
+    """Objects are predicted by the time between the frames, not by when they are looked at."""
+    scene = PlateScene()
+    frames = [
+        replace(scene.frame(number, {1: (-0.25 + 0.03 * number, 0.0, 1.0)}), timestamp=None) for number in range(8)
+    ]
+    taken = [FrameTaken(number, one, 0, 10.0 + number) for number, one in enumerate(frames)]
+    source = Busy([*taken[:2], taken[7], taken[7]], taken[2:7])
+    steps = list(follow(source, lambda prev, curr: scene.motion(1), Tracker(), min_gap=1, clock=lambda: 100.0))
+    assert [step.times for step in steps] == [(10, 11), (11, 14), (14, 17)]
+    assert [step.latency for step in steps] == [89, 86, 83]

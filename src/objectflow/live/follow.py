@@ -56,12 +56,13 @@ def follow(
     """Estimate on the newest frame whenever the method is ready, and track the objects.
 
     Args:
-        source: an entered `NewestFrame`, best one that keeps some earlier frames.
+        source: an entered `NewestFrame`; if it keeps some earlier frames, fast objects are followed better.
         estimator: the method.
         tracker: links the objects; it must be new.
         min_gap: smallest time between the two frames, seconds, so that objects can move measurably.
         skip_explained: see `SequenceEstimator`.
-        clock: monotonic clock, seconds; provides the times of frames without timestamps.
+        clock: monotonic clock, seconds; provides the times of frames that have neither a time stamp nor a time of
+            arrival.
 
     Raises:
         ObjectflowError: the source failed, or the frames do not match each other.
@@ -140,4 +141,7 @@ def _on_the_way(
 
 
 def _time_of(taken: FrameTaken, clock: Callable[[], float]) -> float:
-    return clock() if taken.frame.timestamp is None else taken.frame.timestamp
+    """The frame's time stamp, or when it arrived where it has none, or else the present time; seconds."""
+    if taken.frame.timestamp is not None:
+        return taken.frame.timestamp
+    return clock() if taken.arrived is None else taken.arrived
