@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from objectflow.geometry import Camera, make_transform
-from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, exceeds_noise, is_moving
+from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, displaces, exceeds_noise, is_moving
 
 
 @pytest.mark.parametrize(("metres", "moving"), [(0.0, False), (0.0039, False), (0.0041, True), (1.0, True)])
@@ -69,3 +69,32 @@ def test_a_cameras_motion_exceeds_noise_in_pixels_or_in_depth(shift: tuple[float
     assert not exceeds_noise(motion, points, camera, shift_px=1.0, sigmas=4.0)
     assert exceeds_noise(motion, points, camera, shift_px=0.0)
     assert not exceeds_noise(motion, points[:0], camera)
+
+
+ROD = np.c_[np.linspace(-0.2, 0.2, 101), np.zeros(101), np.full(101, 1.0)]
+"""Points of a rod of 40 cm along x, a metre away."""
+
+
+@pytest.mark.parametrize(("degrees", "moving"), [(1.2, False), (1.3, True)])
+def test_a_rod_moves_by_its_ends(degrees: float, moving: bool) -> None:
+    """The outer tenth lies 18 cm or more from its middle: 4 mm are 1.273 degrees there, and 4.6 at 5 cm."""
+    center = np.array([0.0, 0.0, 1.0])
+    R = Rotation.from_rotvec([0, 0, np.radians(degrees)]).as_matrix()
+    motion = make_transform(R, center - R @ center)
+    assert not is_moving(R, np.zeros(3))
+    assert displaces(motion, ROD, center) is moving
+    assert not displaces(motion, ROD[45:56], center)
+    assert not displaces(motion, ROD[:0], center)
+
+
+def test_a_shift_and_a_turn_add_up_at_the_ends() -> None:
+    center = np.array([0.0, 0.0, 1.0])
+    R = Rotation.from_rotvec([0, 0, np.radians(1.0)]).as_matrix()
+    both = make_transform(R, center - R @ center + [0.0, 0.003, 0.0])
+    assert displaces(both, ROD, center)
+    assert not displaces(make_transform(np.eye(3), [0.0, 0.003, 0.0]), ROD, center)
+    assert not displaces(make_transform(R, center - R @ center), ROD, center)
+
+
+def test_a_centre_that_moves_far_is_enough() -> None:
+    assert displaces(make_transform(np.eye(3), [0.005, 0, 0]), ROD[:0], np.zeros(3))

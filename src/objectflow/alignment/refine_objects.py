@@ -13,7 +13,7 @@ from objectflow.alignment import fitting, registration
 from objectflow.alignment.fitting import FitSettings
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.registration import RegistrationSettings
-from objectflow.geometry.moved import STATIC_DISPLACEMENT, is_moving
+from objectflow.geometry.moved import STATIC_DISPLACEMENT, displaces
 from objectflow.geometry.resample import nearest_indices
 from objectflow.motion import ObjectMotion
 from objectflow.runtime.side_threads import side_by_side
@@ -84,9 +84,8 @@ def refine_objects(
         if len(own.curr) >= settings.min_matches:
             initial.append(fitting.fit_matches(own, camera, noise=pair.noise, settings=settings.fit)[0])
         motion = refine_one(target, source, initial, settings)
-        found = dataclasses.replace(obj, prev_T_curr=motion)
-        moving = is_moving(motion[:3, :3], found.translation, settings.static_displacement)
-        return dataclasses.replace(found, moving=bool(moving))
+        moving = displaces(motion, source.points, obj.center, settings.static_displacement)
+        return dataclasses.replace(obj, prev_T_curr=motion, moving=moving)
 
     return tuple(side_by_side(*(partial(refined, obj) for obj in objects)))
 

@@ -21,6 +21,8 @@ STATIC_SHIFT_PX, STATIC_SIGMAS = 0.7, 3.0
 """Pixels, and standard deviations of depth: default tolerances of a camera's motion; a motion within both is noise."""
 LEVER_ARM = 0.05
 """Metres: default distance from the centre at which a rotation counts as a displacement; a small object's radius."""
+_END_QUANTILE = 0.9
+"""Quantile of the displacements of an object's points that is that of its ends; stray pixels move farther."""
 
 
 def is_moving(
@@ -43,6 +45,28 @@ def is_moving(
     """
     angle = rotation_angle(rotation)
     return np.asarray((np.linalg.norm(translation, axis=-1) > tolerance) | (angle * lever_arm > tolerance))
+
+
+def displaces(
+    prev_T_curr: Float64Array,
+    points: NDArray[np.floating],
+    center: Float64Array,
+    tolerance: float = STATIC_DISPLACEMENT,
+) -> bool:
+    """Whether a motion displaces an object by more than a tolerance: by `is_moving`, or at its ends.
+
+    Args:
+        prev_T_curr: (4, 4).
+        points: (N, 3) metres, of its surface; may be empty.
+        center: (3,) metres, of the object.
+        tolerance: metres.
+    """
+    if is_moving(prev_T_curr[:3, :3], transform(prev_T_curr, center) - center, tolerance):
+        return True
+    if not len(points):
+        return False
+    shift = np.linalg.norm(transform(prev_T_curr, points) - points, axis=1)
+    return bool(np.quantile(shift, _END_QUANTILE) > tolerance)
 
 
 def exceeds_noise(

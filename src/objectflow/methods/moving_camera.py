@@ -28,7 +28,7 @@ from objectflow.errors import MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
-from objectflow.geometry.moved import LEVER_ARM, STATIC_DISPLACEMENT, is_moving
+from objectflow.geometry.moved import STATIC_DISPLACEMENT, displaces
 from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
@@ -42,9 +42,6 @@ VIEW_TOLERANCE = 0.02
 """Default of `CompensationConfig.view_tolerance`."""
 CRACK_DEPTH = 0.05
 """Default of `CompensationConfig.crack_depth`."""
-
-_EXTENT_QUANTILE = 0.9
-"""Quantile of the distances of an object's points from its centre that is its lever arm; stray pixels lie farther."""
 
 
 @dataclass(frozen=True)
@@ -292,7 +289,5 @@ def _exceeds_camera_error(
 ) -> bool:
     """Whether an object's own motion exceeds the error of the camera's, at its centre or at the end of its points."""
     passed = float(np.linalg.norm(geometry.transform(prev_T_curr, obj.center) - obj.center))
-    radii = np.linalg.norm(points[np.isfinite(points[:, 2])] - obj.center, axis=1)
-    lever_arm = max(LEVER_ARM, float(np.quantile(radii, _EXTENT_QUANTILE)) if len(radii) else 0.0)
     tolerance = max(tolerance, scale_error * passed)
-    return bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, tolerance, lever_arm=lever_arm))
+    return displaces(obj.prev_T_curr, points[np.isfinite(points[:, 2])], obj.center, tolerance)

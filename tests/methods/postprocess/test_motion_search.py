@@ -19,7 +19,8 @@ from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.color_proposals import propose_positions
 from objectflow.methods.postprocess.motion_search import PoseHypotheses, search_motions, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
-from objectflow.methods.postprocess.settings import MotionSearchSettings, PostprocessSettings, SearchLevelSettings
+from objectflow.methods.postprocess.search_settings import MotionSearchSettings, SearchLevelSettings
+from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.motion import ObjectMotion
 from objectflow.settings import build
 

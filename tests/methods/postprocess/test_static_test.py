@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import analytic
+from helpers.flat_scenes import WALL, Card, draw, object_of
 from helpers.truths import true_objects
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
@@ -19,7 +20,7 @@ from objectflow.methods.postprocess.settings import PostprocessSettings, StaticT
 from objectflow.methods.postprocess.static_test import MotionEvidence, find_evidence, reject_static, rest_hidden
 from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
-from objectflow.typing import Float64Array
+from objectflow.typing import BoolMask, Float64Array
 
 DEFAULTS = PostprocessSettings()
 LIKELIHOOD = LikelihoodSettings()
@@ -176,3 +177,44 @@ def test_objects_without_depth_are_static(score: float) -> None:
     resting = RestingCosts(likelihood, LABELS, (obj,), DEFAULTS.static_test)
     assert find_evidence(likelihood, LABELS, obj, resting, DEFAULTS) is None
     assert reject_static(pair, LABELS, (), DEFAULTS)[1] == ()
+
+
+WALL_CARD = Card(5, 70, 50, 24, 24, WALL)
+"""A thing as flat as a printed sheet, on the wall."""
+HAND = Card(6, 96, 40, 40, 44, 0.85)
+"""A larger mover to the right of it."""
+
+
+def shadow_scene(*cards: Card, dark: BoolMask | None = None) -> RgbdFrame:
+    """Cards before the wall, parts of which lie in the shade."""
+    frame = draw(*cards)
+    if dark is not None:
+        frame.color[dark] = (0.6 * frame.color[dark]).astype(np.uint8)
+    return frame
+
+
+def rests_beside_the_hand(prev: RgbdFrame, curr: RgbdFrame, motion: Float64Array) -> bool:
+    """Whether the pixels of `WALL_CARD`, with this motion, count as static beside a hand that moved to the left."""
+    labels = np.where(HAND.mask, 2, np.where(WALL_CARD.mask, 1, 0)).astype(np.int32)
+    start = (object_of(1, WALL_CARD.mask, curr, motion), object_of(2, HAND.mask, curr, HAND.motion(-8)))
+    thing, hand = reject_static(FramePair(prev, curr), labels, start, DEFAULTS)[1]
+    assert hand.moving
+    return not thing.moving
+
+
+def test_a_flat_thing_that_slides_beside_a_mover_is_no_shadow() -> None:
+    before = dataclasses.replace(WALL_CARD, top=WALL_CARD.top - 6), dataclasses.replace(HAND, left=HAND.left + 8)
+    prev, curr = shadow_scene(*before), shadow_scene(WALL_CARD, HAND)
+    assert not rests_beside_the_hand(prev, curr, WALL_CARD.motion(0, 6))
+
+
+def test_a_shadow_beside_a_mover_rests() -> None:
+    prev = shadow_scene(dataclasses.replace(HAND, left=HAND.left + 8))
+    curr = shadow_scene(HAND, dark=WALL_CARD.mask)
+    assert rests_beside_the_hand(prev, curr, WALL_CARD.motion(0, 6))
+
+
+def test_a_reflection_that_follows_its_mover_rests() -> None:
+    before = dataclasses.replace(WALL_CARD, left=WALL_CARD.left + 7), dataclasses.replace(HAND, left=HAND.left + 8)
+    prev, curr = shadow_scene(*before), shadow_scene(WALL_CARD, HAND)
+    assert rests_beside_the_hand(prev, curr, WALL_CARD.motion(-7))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
-from objectflow.methods.postprocess.settings import ColorProposalSettings
+from objectflow.methods.postprocess.search_settings import ColorProposalSettings
 from objectflow.typing import Float32Array, Float64Array, IndexArray
 
 _BINS = (8, 16, 16)

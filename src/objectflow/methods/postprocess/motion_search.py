@@ -15,13 +15,13 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment import registration
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.geometry.moved import is_moving
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.color_proposals import propose_positions
+from objectflow.methods.postprocess.new_motion import with_motion
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
-from objectflow.methods.postprocess.settings import MotionSearchSettings, PostprocessSettings
-from objectflow.motion import ObjectMotion
+from objectflow.methods.postprocess.search_settings import MotionSearchSettings
+from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.runtime.side_threads import side_by_side
 from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
 
@@ -85,15 +85,12 @@ def search_motions(
     )
     found = dict(zip(doubted, side_by_side(*searches), strict=True))
     tolerance = settings.static_test.static_displacement
-    return labels, tuple(_with_motion(obj, found.get(obj.id, obj.prev_T_curr), tolerance) for obj in objects)
-
-
-def _with_motion(obj: ObjectMotion, motion: Float64Array, tolerance: float) -> ObjectMotion:
-    """The object with another motion; itself where the motion is the same."""
-    if motion is obj.prev_T_curr:
-        return obj
-    new = dataclasses.replace(obj, prev_T_curr=motion)
-    return dataclasses.replace(new, moving=bool(is_moving(motion[:3, :3], new.translation, tolerance)))
+    return labels, tuple(
+        with_motion(obj, found[obj.id], likelihood.points[masks[obj.id]], tolerance)
+        if obj.id in found and found[obj.id] is not obj.prev_T_curr
+        else obj
+        for obj in objects
+    )
 
 
 def _search(

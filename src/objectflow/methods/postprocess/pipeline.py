@@ -18,6 +18,7 @@ from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
+from objectflow.methods.postprocess.retry_static import retry_static
 from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.split_objects import split_objects
@@ -53,6 +54,7 @@ STEPS: dict[str, Step] = {
     "refine": _refine,  # register each object to the previous frame
     "split": split_objects,  # separate surfaces of one mask that move differently are separate objects
     "static_test": reject_static,  # objects without evidence of motion are static
+    "retry_static": retry_static,  # motions of objects at rest that standing still does not explain
     "motion_search": search_motions,  # other motions for objects that theirs do not explain
     "merge": merge_fragments,  # fragments that one motion explains are one body
     "reassign": reassign_pixels,  # pixels follow the motion that explains them

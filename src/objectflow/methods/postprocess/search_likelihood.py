@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.methods.postprocess.settings import PostprocessSettings, SearchLikelihoodSettings
+from objectflow.methods.postprocess.search_settings import SearchLikelihoodSettings
+from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.typing import Float32Array, Float64Array, UInt8Array
 
 DEFAULTS = SearchLikelihoodSettings()

@@ -16,9 +16,9 @@ from objectflow.alignment import fitting
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import inside
 from objectflow.alignment.refine_objects import refine_one
-from objectflow.geometry.moved import is_moving
 from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.labels import Objects, relabel_present
+from objectflow.methods.postprocess.new_motion import with_motion
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, SplitSettings
 from objectflow.motion import ObjectMotion
@@ -159,6 +159,5 @@ def _with_motion(
 ) -> ObjectMotion:
     """An object of the pixels of a mask, with their motion."""
     center = np.asarray(likelihood.points[mask].mean(axis=0), dtype=np.float64)
-    part = dataclasses.replace(obj, center=center, prev_T_curr=motion)
-    moving = is_moving(motion[:3, :3], part.translation, settings.static_test.static_displacement)
-    return dataclasses.replace(part, moving=bool(moving))
+    part = dataclasses.replace(obj, center=center)
+    return with_motion(part, motion, likelihood.points[mask], settings.static_test.static_displacement)

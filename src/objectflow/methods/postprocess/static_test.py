@@ -11,8 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.geometry.moved import is_moving
+from objectflow.geometry.moved import displaces
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
@@ -70,7 +71,8 @@ def reject_static(
     resting = RestingCosts(likelihood, small, objects, test)
     out = []
     for obj in objects:
-        moving = bool(is_moving(obj.prev_T_curr[:3, :3], obj.translation, test.static_displacement))
+        points = likelihood.points[likelihood.mask(small, obj.id)]
+        moving = displaces(obj.prev_T_curr, points, obj.center, test.static_displacement)
         motion = obj.prev_T_curr
         if moving:
             evidence = find_evidence(likelihood, small, obj, resting, settings)
@@ -115,16 +117,27 @@ def rest_hidden(
 def _is_shadow(
     likelihood: PairLikelihood, small: LabelImage, obj: ObjectMotion, objects: Objects, settings: StaticTestSettings
 ) -> bool:
-    """Whether an object is a change of colour alone beside a larger mover: its shadow or its reflection."""
+    """Whether an object is a change of colour alone beside a larger mover: its shadow or its reflection.
+
+    Light explains the colours of most shadows. A reflection follows its mover. What moved along a surface of its own
+    depth does neither.
+    """
     mask = likelihood.mask(small, obj.id)
     depth, hidden = likelihood.static_depth_cost()
     unchanged = (depth[mask] < settings.inlier_cost) & ~hidden[mask]
     if unchanged.mean() < settings.shadow_depth_ratio:
         return False
     size = 2 * settings.shadow_reach_px + 1
-    near = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
-    larger = [one.id for one in objects if one.moving and one.pixels * settings.shadow_area_ratio > obj.pixels]
-    return bool(np.isin(small[near], larger).any())
+    near = np.unique(small[cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0])
+    movers = [one for one in objects if one.moving and one.id != obj.id and one.id in near]
+    movers = [one for one in movers if one.pixels * settings.shadow_area_ratio > obj.pixels]
+    if likelihood.cost_at_rest(mask).mean() <= settings.shadow_cost:
+        return bool(movers)
+    points = likelihood.points[mask]
+    end = geometry.transform(obj.prev_T_curr, points)
+    largest = settings.shadow_motion_ratio * float(np.linalg.norm(end - points, axis=1).mean())
+    apart = [np.linalg.norm(geometry.transform(one.prev_T_curr, points) - end, axis=1).mean() for one in movers]
+    return min(map(float, apart), default=np.inf) < largest
 
 
 def find_evidence(
