@@ -135,8 +135,8 @@ class Claiming(torch.nn.Module):
         super().__init__()
         self.inner, self.settings = inner, inner.settings
 
-    def forward(self, *images: torch.Tensor, table: bool) -> RigidMatchOutput:
-        output: RigidMatchOutput = self.inner(*images, table=table)
+    def forward(self, *images: torch.Tensor, table: bool, min_probability: float) -> RigidMatchOutput:
+        output: RigidMatchOutput = self.inner(*images, table=table, min_probability=min_probability)
         level = output.masks.flatten(-2).quantile(0.6, dim=-1)[..., None, None]
         return output._replace(masks=20 * (output.masks - level))
 
@@ -280,7 +280,7 @@ def test_saved_weights_load_as_the_same_network(tmp_path: Path) -> None:
 
 def test_the_number_of_queries_and_the_radius_of_seeds_can_be_set(tmp_path: Path) -> None:
     path = save_rigid(tmp_path / "w.safetensors")
-    chosen = objectflow.load("rigidmatch", weights=path, queries=7, seed_radius=0.2)
+    chosen = objectflow.load("rigidmatch", weights=path, queries=7, seed_radius=0.2, threshold=0)
     assert (chosen.network.settings.queries, chosen.network.settings.seed_radius) == (7, 0.2)
     scene = analytic.make_scene(0)
     output, _ = chosen.predict([scene.prev.resized(64, 48)], [scene.curr.resized(64, 48)])

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from helpers.small_networks import TINY_RIGID
 from objectflow.errors import MethodError
+from objectflow.methods.rigidmatch.decoding import decode, select
 from objectflow.networks.rigidmatch import RigidMatch, RigidMatchSettings
 from objectflow.networks.rigidmatch.dual_softmax import dual_softmax_mean, dual_softmax_mean_of_product
 from objectflow.networks.rigidmatch.inputs import Grid, cells, encode_inputs, grid
@@ -148,6 +149,32 @@ def test_the_network_says_the_same_without_the_table() -> None:
     expected = whole._replace(scores=spared.scores, masks=whole.masks[-1:])
     for name, one in spared._asdict().items():
         torch.testing.assert_close(one, getattr(expected, name), atol=1e-4, rtol=1e-4)
+
+
+@torch.no_grad()
+def test_unlikely_queries_are_left_out_and_the_others_stay_the_same() -> None:
+    made, seen = RigidMatch(TINY_RIGID, generator=generator()).eval(), images(48, 64)
+    every = made(*seen, table=False)
+    probability = every.objectness[-1].sigmoid()
+    least = float(probability.max(0).values.sort().values[probability.shape[1] // 2])
+    kept = (probability > least).any(0)
+    assert 0 < kept.sum() < len(kept)
+    some = made(*seen, table=False, min_probability=least)
+    for name in ("objectness", "masks"):
+        torch.testing.assert_close(getattr(some, name), getattr(every, name)[:, :, kept])
+    for name in ("anchors", "moves", "rotation", "translation", "detail_queries"):
+        torch.testing.assert_close(getattr(some, name), getattr(every, name)[:, kept], atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(some.match, every.match)
+
+
+@torch.no_grad()
+def test_without_a_likely_query_there_is_none() -> None:
+    made, seen = RigidMatch(TINY_RIGID, generator=generator()).eval(), images(48, 64)
+    none = made(*seen, table=False, min_probability=1.0)
+    assert none.masks.shape[2] == none.rotation.shape[1] == 0
+    labels, objects = decode(select(none, 0), (48, 64))
+    assert not labels.any()
+    assert objects == ()
 
 
 def test_barred_cells_and_large_logits_keep_everything_finite() -> None:

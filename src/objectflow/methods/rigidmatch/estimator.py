@@ -34,6 +34,7 @@ from objectflow.methods.rigidmatch.decoding import (
     MIN_PIXELS,
     OBJECT_MASK_THRESHOLD,
     OVERLAP_THRESHOLD,
+    QUERY_THRESHOLD,
     decode,
     matched_flow,
     select,
@@ -189,6 +190,8 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
     ) -> tuple[RigidMatchOutput, Tensor]:
         """The network's output on pairs of frames of one size, and the current points (B, 3, H, W) in metres.
 
+        Queries that are no object in any of the pairs are left out.
+
         XFeat's features are kept with prepared frames, so that a sequence computes them once per frame.
         """
         device = next(self.network.parameters()).device
@@ -208,7 +211,13 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             if self.network.settings.xfeat != "none":
                 known["xfeat"] = partial(self._features, [*after, *before], [curr_color, prev_color])
             out: RigidMatchOutput = self.network(
-                prev_color, wide * prev_points, curr_color, wide * curr_points, table=False, **known
+                prev_color,
+                wide * prev_points,
+                curr_color,
+                wide * curr_points,
+                table=False,
+                min_probability=min(self.threshold, QUERY_THRESHOLD),
+                **known,
             )
         return out.rescaled(1 / factor), curr_points
 

@@ -62,13 +62,17 @@ class SetDecoder(nn.Module):
         self.pixel_embedding = nn.Conv2d(fine, fine, 1)
         self.detail_embedding = nn.Linear(channels, settings.detail_channels) if settings.detail_channels else None
 
-    def forward(self, dense: DensePredictions, *, every_layer: bool = True) -> Objects:
+    def forward(
+        self, dense: DensePredictions, *, every_layer: bool = True, min_probability: float | None = None
+    ) -> Objects:
         """Find the objects of dense predictions.
 
         Args:
             dense: of the current frame.
             every_layer: return the masks of every layer, which losses need; otherwise those of the last layer alone,
                 and earlier ones are computed on the coarse grid only.
+            min_probability: leave out queries that are objects with at most this probability in all pairs, before
+                their masks are computed; None keeps all. It needs `every_layer` to be false.
         """
         size = dense.votes.shape[-2:]
         with torch.autocast(dense.votes.device.type, enabled=False):
@@ -92,8 +96,12 @@ class SetDecoder(nn.Module):
             normed = self.norm(queries)
             objectness.append(self.objectness(normed)[..., 0].float())
             is_last = index_layer == len(self.across)
+            if is_last and min_probability is not None:
+                likely = (objectness[-1].sigmoid() > min_probability).any(0)
+                normed, anchors = normed[:, likely], anchors[:, likely]
+                objectness = [one[:, likely] for one in objectness]
             if every_layer or is_last:
-                masks.append(self._mask(normed, anchors, votes, embeddings).reshape(*queries.shape[:2], *size))
+                masks.append(self._mask(normed, anchors, votes, embeddings).reshape(*normed.shape[:2], *size))
             if is_last:
                 break
             # Masked attention (Cheng et al. 2022), made soft: little weight outside of the current mask.
@@ -110,7 +118,7 @@ class SetDecoder(nn.Module):
             # One step of mean shift: the mean vote of the mask is more stable than the seed's.
             anchors = _mean_votes(coarse_mask.sigmoid(), coarse_flat, anchors)
         if self.detail_embedding is None:
-            details = normed.new_zeros(*queries.shape[:2], 0).float()
+            details = normed.new_zeros(*normed.shape[:2], 0).float()
         else:
             details = self.detail_embedding(normed).float()
         return Objects(normed, anchors, torch.stack(objectness), torch.stack(masks), details)

@@ -105,6 +105,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
+        min_probability: float | None = None,
         xfeat: Callable[[], Tensor] | None = None,
     ) -> RigidMatchOutput:
         """Predict objects and their motions from the current back to the previous frame.
@@ -114,12 +115,22 @@ class RigidMatch(nn.Module):
             prev_points, curr_points: (B, 3, H, W) metres in the camera frame, NaN where depth is missing.
             table: return the table of all pairs' scores and the masks of every layer, which losses need; without it
                 there is no gradient.
+            min_probability: leave out queries that are objects with at most this probability in all pairs; None keeps
+                all. Only without `table`.
             xfeat: returns (2 B, 64, h, w) of `self.xfeat` on `curr_color` and `prev_color`; called after the encoder.
 
         Returns:
             All predictions, on the grids of images padded to a multiple of the coarsest stride.
         """
-        found = self.forward_features(prev_color, prev_points, curr_color, curr_points, table=table, xfeat=xfeat)
+        found = self.forward_features(
+            prev_color,
+            prev_points,
+            curr_color,
+            curr_points,
+            table=table,
+            min_probability=min_probability,
+            xfeat=xfeat,
+        )
         # 6. The motions that fit the matches.
         rotation, translation = self._motions(found)
         return RigidMatchOutput(
@@ -154,6 +165,7 @@ class RigidMatch(nn.Module):
         curr_points: Tensor,
         *,
         table: bool = True,
+        min_probability: float | None = None,
         xfeat: Callable[[], Tensor] | None = None,
     ) -> Features:
         """Everything but the motions; arguments as `forward`."""
@@ -190,7 +202,7 @@ class RigidMatch(nn.Module):
         current = [one.chunk(2)[0] for one in (stem, fine, maps)]
         dense = self.dense_head(*current, matched, refined, (curr, curr_fine))
         # 5. Objects.
-        objects = self.decoder(dense, every_layer=table)
+        objects = self.decoder(dense, every_layer=table, min_probability=min_probability)
         shift = (objects.anchors[..., 3:] - objects.anchors[..., :3]).norm(dim=-1, keepdim=True)
         moves = self.moves(torch.cat([objects.queries, 10 * shift], dim=-1))[..., 0].float()
         return Features(curr, curr_fine, matched, refined, dense, objects, moves)

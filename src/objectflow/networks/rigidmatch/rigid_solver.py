@@ -57,6 +57,10 @@ def agreement(rotation: Tensor, translation: Tensor, curr: Tensor, prev: Tensor,
     """
     # Coordinates come before points, so that all arithmetic runs along long rows.
     turned = rotation.flatten(1, 2) @ curr.transpose(-2, -1)
-    off = turned.reshape(*rotation.shape[:3], -1).add_(translation[..., None]).sub_(prev.transpose(-2, -1)[:, None])
+    off = (
+        turned.reshape(*rotation.shape[:3], curr.shape[1])
+        .add_(translation[..., None])
+        .sub_(prev.transpose(-2, -1)[:, None])
+    )
     square = off.square_().sum(2)
     return scale**2 / (scale**2 + square)
