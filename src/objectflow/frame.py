@@ -161,6 +161,16 @@ class RgbdFrame:
             name=self.name,
         )
 
+    def cropped(self, x: int, y: int, width: int, height: int) -> RgbdFrame:
+        """The part of the frame whose top-left pixel is (x, y).
+
+        Raises:
+            CameraError: the crop leaves the image.
+        """
+        camera = self.camera.cropped(x, y, width, height)
+        part = slice(y, y + height), slice(x, x + width)
+        return RgbdFrame(self.color[part], self.depth[part], camera, self.timestamp, self.name)
+
     def downscaled_to_width(self, width: int) -> RgbdFrame:
         """The frame at a width in pixels, with its aspect ratio kept; unchanged if it is no wider.
 

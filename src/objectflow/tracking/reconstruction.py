@@ -273,9 +273,7 @@ def _cropped(frame: RgbdFrame, mask: BoolMask, margin: int) -> tuple[RgbdFrame, 
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     top, bottom = max(0, int(rows[0]) - margin), min(frame.camera.height, int(rows[-1]) + margin + 1)
     left, right = max(0, int(columns[0]) - margin), min(frame.camera.width, int(columns[-1]) + margin + 1)
-    window = np.s_[top:bottom, left:right]
-    camera = frame.camera.cropped(left, top, right - left, bottom - top)
-    return RgbdFrame(frame.color[window], frame.depth[window], camera, frame.timestamp, frame.name), mask[window]
+    return frame.cropped(left, top, right - left, bottom - top), mask[top:bottom, left:right]
 
 
 def _extended(color: UInt8Array, valid: BoolMask) -> UInt8Array:

@@ -6,6 +6,7 @@ A step is a pure function `(pair, labels, objects, settings) -> (labels, objects
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.refine_objects import refine_objects
@@ -20,6 +21,7 @@ from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
 from objectflow.methods.postprocess.retry_static import retry_static
 from objectflow.methods.postprocess.scoring import set_confidence
+from objectflow.methods.postprocess.second_look import Look, second_look
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.split_objects import split_objects
 from objectflow.methods.postprocess.static_test import reject_static, rest_hidden
@@ -50,6 +52,12 @@ def _drop_uncertain(
     return relabel_present(labels, kept)
 
 
+def _no_look(
+    _: FramePair, labels: LabelImage, objects: Objects, __: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    return labels, objects
+
+
 STEPS: dict[str, Step] = {
     "refine": _refine,  # register each object to the previous frame
     "split": split_objects,  # separate surfaces of one mask that move differently are separate objects
@@ -59,6 +67,7 @@ STEPS: dict[str, Step] = {
     "merge": merge_fragments,  # fragments that one motion explains are one body
     "reassign": reassign_pixels,  # pixels follow the motion that explains them
     "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
+    "second_look": _no_look,  # the network enlarges what is unexplained; nothing where `postprocess` has no `look`
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
     "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
     "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
@@ -73,9 +82,12 @@ def check_steps(settings: PostprocessSettings) -> None:
     Raises:
         SettingsError: an unknown step; the message lists the choices.
     """
-    unknown = [name for name in settings.steps if name not in STEPS]
-    if unknown:
-        raise SettingsError(f"setting postprocess.steps has no step {unknown[0]!r}: choose among {', '.join(STEPS)}")
+    for name, steps in (("steps", settings.steps), ("second_look.then", settings.second_look.then)):
+        unknown = [step for step in steps if step not in STEPS]
+        if unknown:
+            raise SettingsError(
+                f"setting postprocess.{name} has no step {unknown[0]!r}: choose among {', '.join(STEPS)}"
+            )
 
 
 def prepare(pair: FramePair, settings: PostprocessSettings) -> None:
@@ -93,6 +105,8 @@ def postprocess(
     objects: Objects,
     settings: PostprocessSettings,
     changes: list[StepChange] | None = None,
+    *,
+    look: Look | None = None,
 ) -> tuple[LabelImage, Objects]:
     """Apply the steps to a network's output.
 
@@ -102,13 +116,27 @@ def postprocess(
         objects: with the network's motions.
         settings: the steps and their settings.
         changes: where given, a description of what each step changed is appended to it.
+        look: evaluates the network on parts of the frames, for `second_look`.
 
     Returns:
         Labels and objects, numbered from 1.
     """
+    steps = STEPS if look is None else STEPS | {"second_look": partial(_look_again, look=look)}
     for name in settings.steps:
         before = labels, objects
-        labels, objects = STEPS[name](pair, labels, objects, settings)
+        labels, objects = steps[name](pair, labels, objects, settings)
         if changes is not None:
             changes.append(describe_change(name, *before, labels, objects))
     return labels, objects
+
+
+def _look_again(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings, *, look: Look
+) -> tuple[LabelImage, Objects]:
+    """`second_look`, and the steps that follow where it added an object."""
+    found, more = second_look(pair, labels, objects, settings, look=look)
+    if more is objects:
+        return labels, objects
+    for name in settings.second_look.then:
+        found, more = STEPS[name](pair, found, more, settings)
+    return found, more

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from objectflow.alignment import fitting, registration
 from objectflow.alignment.frame_pair import FramePair
-from objectflow.geometry.resample import nearest_indices
 from objectflow.methods.labels import Objects
+from objectflow.methods.postprocess.mask_registration import register_mask
 from objectflow.methods.postprocess.new_motion import with_motion
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.motion import ObjectMotion
-from objectflow.typing import BoolMask, Float64Array, LabelImage
+from objectflow.typing import BoolMask, LabelImage
 
 
 def retry_static(
@@ -61,7 +60,7 @@ def _retried(
 ) -> ObjectMotion:
     """The object with the best registered motion, or itself if none explains it well enough."""
     retry = settings.retry_static
-    motions = _registered(pair, labels == obj.id, settings)
+    motions = register_mask(pair, labels == obj.id, settings.refine)
     costs = [float(likelihood.cost(motion, mask).mean()) for motion in motions]
     best = int(np.argmin(costs))
     static = float(likelihood.cost_at_rest(mask).mean())
@@ -70,20 +69,3 @@ def _retried(
         return obj
     found = with_motion(obj, motions[best], likelihood.points[mask], settings.static_test.static_displacement)
     return found if found.moving else obj
-
-
-def _registered(pair: FramePair, mask: BoolMask, settings: PostprocessSettings) -> list[Float64Array]:
-    """Motions (4, 4) of a mask (H, W), registered from standing still and from the fit to its matches."""
-    refine = settings.refine
-    wide = pair.at_width(refine.width)
-    camera, matches = wide.curr.frame.camera, wide.matches
-    rows, columns = nearest_indices(mask.shape, (camera.height, camera.width))
-    mask = mask[rows[:, None], columns]
-    column, row = np.rint(matches.pixels).astype(np.intp).T
-    own = matches[mask[np.clip(row, 0, camera.height - 1), np.clip(column, 0, camera.width - 1)]]
-    source = wide.sources.take(mask, limit=refine.max_points)
-    starts = [np.eye(4)]
-    if len(own.curr) >= refine.min_matches:
-        starts.append(fitting.fit_matches(own, camera, noise=pair.noise, settings=refine.fit)[0])
-    found = [registration.refine(wide.target, source, start, settings=refine.registration) for start in starts]
-    return [one.prev_T_curr for one in found if np.isfinite(one.prev_T_curr).all()] or [np.eye(4)]

@@ -10,6 +10,7 @@ from objectflow.geometry.moved import STATIC_DISPLACEMENT
 from objectflow.methods.consensus.assignment import AssignmentSettings
 from objectflow.methods.consensus.pixel_graph import PixelGraphSettings
 from objectflow.methods.mask_edges import MaskEdgeSettings
+from objectflow.methods.postprocess.look_settings import SecondLookSettings
 from objectflow.methods.postprocess.search_settings import MotionSearchSettings
 from objectflow.settings import Settings, setting
 
@@ -251,8 +252,8 @@ class PostprocessSettings(Settings):
 
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "retry_static", "motion_search", "merge",
-        "reassign", "merge", "missed_objects", "static_test", "rest_hidden",
-        "drop_uncertain", "confidence",
+        "reassign", "merge", "second_look", "missed_objects", "static_test",
+        "rest_hidden", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
@@ -271,4 +272,5 @@ class PostprocessSettings(Settings):
     color_similarity: ColorSimilaritySettings = ColorSimilaritySettings()
     reassign: ReassignSettings = ReassignSettings()
     snap_to_edges: MaskEdgeSettings = MaskEdgeSettings()
+    second_look: SecondLookSettings = SecondLookSettings()
     missed_objects: MissedObjectSettings = MissedObjectSettings()

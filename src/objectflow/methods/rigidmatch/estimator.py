@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +18,7 @@ from objectflow.alignment.apparent_shift import apparent_shift
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.prepared_frame import PreparedFrame
-from objectflow.errors import MethodError
+from objectflow.errors import FrameError, MethodError
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.resample import nearest_indices
 from objectflow.geometry.torch_pinhole import depth_factor
@@ -27,6 +28,7 @@ from objectflow.methods.mask_edges import snap_to_edges
 from objectflow.methods.moving_camera import CompensationConfig, StaticCameraEstimator
 from objectflow.methods.network_io import same_size_groups, scaled_size, to_tensors, trained_size
 from objectflow.methods.postprocess.changes import StepChange
+from objectflow.methods.postprocess.look_windows import Window
 from objectflow.methods.postprocess.pipeline import check_steps, postprocess, prepare
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.rigidmatch.decoding import (
@@ -45,7 +47,7 @@ from objectflow.networks.rigidmatch import RigidMatch, RigidMatchOutput, RigidMa
 from objectflow.networks.rigidmatch.settings import MOST
 from objectflow.networks.weights import load_network, read_header
 from objectflow.runtime.devices import find_device
-from objectflow.runtime.side_threads import start_beside
+from objectflow.runtime.side_threads import has_side_threads, start_beside
 from objectflow.settings import setting
 from objectflow.typing import LabelImage
 
@@ -97,6 +99,9 @@ class RigidMatchConfig(CompensationConfig):
     """Pixels, at a width of 320: median shift of the edges up to which the network is evaluated beside the estimate of
     the camera's motion, where there are side threads. It is evaluated again if the camera moved after all, so this
     decides about time alone."""
+    detail: Literal["frame", "crops"] = "crops"
+    """frame: the network sees the frame as a whole. crops: it also sees parts of it, enlarged, where changes are left
+    unexplained (`postprocess.second_look`)."""
     explain: bool = False
     """Record what each step after the network changed, in `SceneMotion.changes`."""
     postprocess: PostprocessSettings = PostprocessSettings()
@@ -250,6 +255,30 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
             features: Tensor = self.network.xfeat(color)
         return features
 
+    def _look(self, pair: FramePair, windows: Sequence[Window]) -> list[tuple[LabelImage, Objects]]:
+        """The network's objects in windows of a pair; see `second_look`."""
+        works = [partial(self._look_at, pair, window) for window in windows]
+        if next(self.network.parameters()).device.type == "cpu" and has_side_threads():
+            return [one.result() for one in [start_beside(work) for work in works]]
+        return [work() for work in works]
+
+    def _look_at(self, pair: FramePair, window: Window) -> tuple[LabelImage, Objects]:
+        """The network's objects in one window, on its pixels."""
+        shape = (window.height, window.width)
+        if not all(one.valid[window.slices].any() for one in (pair.prev, pair.curr)):
+            return np.zeros(shape, np.int32), ()
+        prev, curr = (one.frame.cropped(*window) for one in (pair.prev, pair.curr))
+        look = self.postprocess.second_look.windows
+        rows, columns = (round(side * look.enlargement / look.zoom) for side in self.size)
+        height, width = scaled_size(curr, (rows, columns))
+        try:
+            small = [PreparedFrame(frame.resized(width, height)) for frame in (prev, curr)]
+        except FrameError:  # no pixel with depth is left
+            return np.zeros(shape, np.int32), ()
+        found = self._decoded(small[:1], small[1:])[0]
+        down, across = nearest_indices((height, width), shape)
+        return relabel_present(found.labels[down[:, None], across], found.objects)
+
     def _finish(self, pair: FramePair, decoded: _Decoded, size: tuple[int, int]) -> SceneMotion:
         """One pair's objects on the pixels of its current frame."""
         curr, points = pair.curr.frame, pair.curr.points
@@ -260,7 +289,8 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
         changes: list[StepChange] | None = [] if self.explain else None
         if self.rigid == "refine":
             settings = dataclasses.replace(self.postprocess, label_size=size)
-            labels, objects = postprocess(pair, labels, objects, settings, changes)
+            look = self._look if self.detail == "crops" else None
+            labels, objects = postprocess(pair, labels, objects, settings, changes, look=look)
         else:
             snapped = snap_to_edges(labels, pair.curr, size, pair.noise, self.postprocess.snap_to_edges)
             labels, objects = relabel_present(snapped, objects)
