@@ -14,7 +14,7 @@ from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import SettingsError
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.look_settings import LookWindowSettings, SecondLookSettings
-from objectflow.methods.postprocess.look_windows import Window, find_remainder, find_windows
+from objectflow.methods.postprocess.look_windows import Remainder, Window, find_remainder, find_windows
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.pipeline import check_steps, postprocess
 from objectflow.methods.postprocess.second_look import Look, second_look
@@ -155,6 +155,18 @@ def test_windows_surround_the_regions_and_lie_in_the_frame() -> None:
     remainder = find_remainder(likelihood, NOTHING, ())
     windows = find_windows(likelihood, NOTHING, (), remainder, size, LookWindowSettings())
     assert (windows[0].x, windows[0].y) == (0, 0)
+
+
+def test_regions_must_stand_out_of_what_noise_costs() -> None:
+    """The frame costs 0.2 everywhere and a region 1.5, which is above 0.7 + 3 x 0.2 and below 0.7 + 6 x 0.2."""
+    likelihood = PairLikelihood.of(moved(3), DEFAULTS.likelihood)
+    cost = np.full(NOTHING.shape, 0.2, np.float32)
+    cost[40:70, 60:100] = 1.5
+    remainder = Remainder(cost, np.zeros(NOTHING.shape, np.bool_))
+    size = (CAMERA.height, CAMERA.width)
+    for ratio, count in ((0.0, 1), (3.0, 1), (6.0, 0)):
+        settings = LookWindowSettings(min_cost=0.7, noise_ratio=ratio)
+        assert len(find_windows(likelihood, NOTHING, (), remainder, size, settings)) == count
 
 
 def test_the_steps_look_again_and_judge_what_was_added() -> None:

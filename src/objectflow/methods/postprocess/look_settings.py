@@ -22,7 +22,10 @@ class LookWindowSettings(Settings):
     smoothing_px: int = setting(7, minimum=1)
     """Pixels: side of the square over which costs are averaged: small motions leave only single pixels unexplained."""
     min_cost: float = setting(0.7, minimum=0)
-    """Mean cost of such a square from which it counts as unexplained."""
+    """Mean cost of such a square from which it counts as unexplained, where depth and colour have no noise."""
+    noise_ratio: float = setting(6.0, minimum=0)
+    """What the median of these means, which is the cost of noise, adds to `min_cost`: so many times itself. Where the
+    frames fit nowhere, as under a wrong motion of the camera, nothing is looked at."""
     min_share: float = setting(0.0005, above=0, below=1)
     """Share of the image from which an unexplained region is looked at."""
     rim_px: int = setting(1, minimum=0)

@@ -80,7 +80,9 @@ def find_windows(
     """
     counts = likelihood.pair.curr.valid & ~remainder.hidden & ~_rims(labels, objects, settings.rim_px)
     mean = _mean_cost(np.minimum(remainder.cost, settings.max_cost), counts, settings.smoothing_px)
-    numbers, count = ndimage.label(mean >= settings.min_cost, structure=np.ones((3, 3)))
+    typical = float(np.median(mean[counts])) if counts.any() else 0.0
+    unexplained = mean >= settings.min_cost + settings.noise_ratio * typical
+    numbers, count = ndimage.label(unexplained, structure=np.ones((3, 3)))
     areas = np.bincount(numbers.ravel(), minlength=count + 1)[1:]
     boxes = ndimage.find_objects(numbers)
     scale = np.array([size[0] / labels.shape[0], size[1] / labels.shape[1]])
