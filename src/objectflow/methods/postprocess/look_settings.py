@@ -15,20 +15,20 @@ class LookWindowSettings(Settings):
     """Width of the frame relative to that of a window."""
     enlargement: float = setting(2.0, above=0)
     """Size of things in the network's input relative to that in its first look at the whole frame."""
-    max_windows: int = setting(3, minimum=0)
+    max_windows: int = setting(2, minimum=0)
     """Maximum number of windows of a pair; 0 switches the second look off."""
     max_cost: float = setting(3.0, above=0)
     """Cost at which that of a pixel is truncated: a single pixel is no region."""
-    smoothing_px: int = setting(7, minimum=1)
+    smoothing_px: int = setting(9, minimum=1)
     """Pixels: side of the square over which costs are averaged: small motions leave only single pixels unexplained."""
-    min_cost: float = setting(0.7, minimum=0)
+    min_cost: float = setting(0.8, minimum=0)
     """Mean cost of such a square from which it counts as unexplained, where depth and colour have no noise."""
     noise_ratio: float = setting(6.0, minimum=0)
     """What the median of these means, which is the cost of noise, adds to `min_cost`: so many times itself. Where the
     frames fit nowhere, as under a wrong motion of the camera, nothing is looked at."""
     min_share: float = setting(0.0005, above=0, below=1)
     """Share of the image from which an unexplained region is looked at."""
-    rim_px: int = setting(1, minimum=0)
+    rim_px: int = setting(3, minimum=0)
     """Pixels at the borders of movers that do not count: masks end slightly inside or outside of edges."""
     max_extent: float = setting(0.9, above=0, maximum=1)
     """Largest extent of a region relative to the window: larger things do not become clearer."""
