@@ -341,3 +341,17 @@ def test_invalid_depth_scales_are_refused(pair: tuple[Path, Path], scale: Any) -
 def test_implausible_depth_scales_are_refused(pair: tuple[Path, Path], scale: float, message: str) -> None:
     with pytest.raises(FrameError, match=message):
         RgbdFrame.read(*pair, camera=CAMERA, depth_scale=scale)
+
+
+def test_a_cropped_frame_back_projects_to_the_same_points() -> None:
+    rng = np.random.default_rng(0)
+    camera = Camera(width=40, height=30, fx=50.0, fy=52.0, cx=19.0, cy=14.0)
+    depth = rng.uniform(0.5, 1.5, (30, 40)).astype(np.float32)
+    color = rng.integers(0, 256, (30, 40, 3)).astype(np.uint8)
+    part = RgbdFrame(color, depth, camera, timestamp=2.0).cropped(7, 5, 20, 12)
+    points = geometry.back_project(depth, camera)[5:17, 7:27]
+    np.testing.assert_allclose(geometry.back_project(part.depth, part.camera), points, atol=1e-6)
+    np.testing.assert_array_equal(part.color, color[5:17, 7:27])
+    assert part.timestamp == 2.0
+    with pytest.raises(CameraError, match="leaves the 40x30 image"):
+        RgbdFrame(color, depth, camera).cropped(30, 5, 20, 12)

@@ -166,6 +166,7 @@ class RgbdFrame:
 
         Raises:
             CameraError: the crop leaves the image.
+            FrameError: no pixel of the crop has depth.
         """
         camera = self.camera.cropped(x, y, width, height)
         part = slice(y, y + height), slice(x, x + width)

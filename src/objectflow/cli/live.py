@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from tyro.conf import Positional
@@ -83,13 +83,6 @@ class Live(ViewArguments, SourceArguments, MethodArguments):
 
     seconds: Annotated[float | None, option("S", "until the source ends")] = None
     """Stop after this time of the source, seconds."""
-
-    def method_options(self) -> dict[str, Any]:
-        """As of other commands, but `rigidmatch` sees the frame alone unless `--set detail=crops`: frames would be
-        dropped while it looks again.
-        """
-        options = super().method_options()
-        return {"detail": "frame"} | options if self.method == "rigidmatch" else options
 
     def run(self) -> None:
         """Open, track, print."""

@@ -9,7 +9,7 @@ from objectflow.settings import Settings, setting
 
 @dataclass(frozen=True)
 class LookWindowSettings(Settings):
-    """Where the network looks again (`look_windows`)."""
+    """On which windows the network is evaluated again (`look_windows`)."""
 
     zoom: float = setting(2.0, above=1)
     """Width of the frame relative to that of a window."""
@@ -25,9 +25,9 @@ class LookWindowSettings(Settings):
     """Mean cost of such a square from which it counts as unexplained, where depth and colour have no noise."""
     noise_ratio: float = setting(6.0, minimum=0)
     """What the median of these means, which is the cost of noise, adds to `min_cost`: so many times itself. Where the
-    frames fit nowhere, as under a wrong motion of the camera, nothing is looked at."""
+    frames fit nowhere, as under a wrong motion of the camera, there is no window."""
     min_share: float = setting(0.0005, above=0, below=1)
-    """Share of the image from which an unexplained region is looked at."""
+    """Share of the image from which an unexplained region has a window."""
     rim_px: int = setting(3, minimum=0)
     """Pixels at the borders of movers that do not count: masks end slightly inside or outside of edges."""
     max_extent: float = setting(0.9, above=0, maximum=1)

@@ -67,7 +67,7 @@ STEPS: dict[str, Step] = {
     "merge": merge_fragments,  # fragments that one motion explains are one body
     "reassign": reassign_pixels,  # pixels follow the motion that explains them
     "snap_to_edges": _snap,  # masks that end inside their object give better motions, so borders move only now
-    "second_look": _no_look,  # the network enlarges what is unexplained; nothing where `postprocess` has no `look`
+    "second_look": _no_look,  # the network on enlarged unexplained regions; only where `postprocess` is given `look`
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
     "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
     "drop_uncertain": _drop_uncertain,  # static objects of low probability are background

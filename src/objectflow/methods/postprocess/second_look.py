@@ -1,4 +1,4 @@
-"""A second look of a network at what its first result leaves unexplained, enlarged: small objects cover more cells.
+"""The network evaluated again on enlarged parts of the frames that its first result leaves unexplained.
 
 An object that covers only a few cells of the network's grid often has no query of its own. In a window of half the
 frame's width, it covers four times as many cells.
