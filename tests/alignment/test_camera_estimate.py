@@ -8,7 +8,7 @@ import pytest
 
 import analytic
 from objectflow import geometry
-from objectflow.alignment.camera_estimate import CameraEstimate, CameraMode, estimate_camera
+from objectflow.alignment.camera_estimate import CameraCheckSettings, CameraEstimate, CameraMode, estimate_camera
 from objectflow.alignment.camera_motion import CameraMotionSettings, dominant_motion
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.matching import MatchSettings, PixelMatches
@@ -94,6 +94,18 @@ def test_features_find_a_camera_that_moved_too_far_for_optical_flow() -> None:
     assert found.state == "moving"
     assert found.prev_T_curr is not None
     np.testing.assert_allclose(found.prev_T_curr[:3, 3], [-shift * 1.1 / 550, 0, 0], atol=0.01)
+
+
+@pytest.mark.parametrize(("min_rival_ratio", "state"), [(0.0, "static"), (0.5, "unknown")])
+def test_a_camera_whose_motion_the_matches_show_is_not_static(min_rival_ratio: float, state: str) -> None:
+    """The settings stand for an image that supports no motion, such as one whose other frame is blurred."""
+    scene = analytic.make_scene(5, camera_motion=CAMERA_MOTION)
+    settings = CameraCheckSettings(
+        min_gain=100, min_inlier_ratio=0, min_supported_ratio=0, min_visible=0, min_rival_ratio=min_rival_ratio
+    )
+    assert estimate_camera(FramePair(scene.prev, scene.curr), settings=settings).state == state
+    still = analytic.make_scene(5)
+    assert estimate_camera(FramePair(still.prev, still.curr), settings=settings).state == "static"
 
 
 def matches_with_outliers(share: float, motion: Float64Array) -> PixelMatches:

@@ -49,6 +49,10 @@ class CameraCheckSettings(Settings):
     """See `min_match_ratio_static`."""
     min_supported_ratio: float = setting(0.25, minimum=0, maximum=1)
     """See `min_match_ratio`."""
+    min_rival_ratio: float = setting(0.5, minimum=0)
+    """A motion may explain the image no better than standing still, as where only one of the frames is blurred. The
+    camera then stood still if at least this many matches follow standing still for each that follows the motion;
+    otherwise it is unknown."""
     min_pixels: int = setting(100, minimum=0)
     """Fewest pixels with depth from which the image can contradict a motion."""
     min_visible: float = setting(0.15, minimum=0, maximum=1)
@@ -142,7 +146,7 @@ def _searched(
     found = _judged(pair, moved, camera, depth_noise, settings)
     if found.state == "unknown" and moved is not None and camera == "auto":
         # A wrong motion also gives a wrong noise and a wrong light, so standing still is judged anew.
-        static = _judged(pair, None, camera, depth_noise, settings)
+        static = _judged_against(moved, pair, camera, depth_noise, settings)
         return static if static.state != "unknown" else found
     return found
 
@@ -165,7 +169,7 @@ def _judged(
     if moved is not None and visible.any():
         still, _ = _cost(equal, np.eye(4), settings, out_of_view=None)
         if camera == "auto" and float((still - cost)[visible].mean()) < settings.min_gain:
-            return _judged(pair, None, camera, depth_noise, settings)
+            return _judged_against(moved, pair, camera, depth_noise, settings)
         other = visible & ~explained
         static_ratio = float((still[other] < settings.inlier_cost).mean()) if other.any() else 0.0
         ambiguous = (
@@ -182,6 +186,21 @@ def _judged(
     if visible.sum() < settings.min_visible * valid or explained[visible].mean() < needed:
         return CameraEstimate("unknown", None, equal, 0.0, light)
     return CameraEstimate(state, moved, equal, 0.0 if moved is None else error, light, bool(ambiguous))
+
+
+def _judged_against(
+    moved: Float64Array,
+    pair: FramePair,
+    camera: CameraMode,
+    depth_noise: DepthNoiseName,
+    settings: CameraCheckSettings,
+) -> CameraEstimate:
+    """The estimate for standing still instead of a motion that the image does not support."""
+    found = _judged(pair, None, camera, depth_noise, settings)
+    (_, rivals, _), (_, followed, _) = (_match_support(pair, motion) for motion in (moved, np.eye(4)))
+    if rivals >= settings.min_matches and followed < settings.min_rival_ratio * rivals:
+        return found._replace(state="unknown", ambiguous=False)
+    return found
 
 
 def _equalised(

@@ -17,6 +17,7 @@ from objectflow.methods.postprocess.changes import StepChange, describe_change
 from objectflow.methods.postprocess.merge_fragments import merge_fragments
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
+from objectflow.methods.postprocess.outline import drop_without_outline
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.reassign_pixels import reassign_pixels
 from objectflow.methods.postprocess.retry_static import retry_static
@@ -70,6 +71,7 @@ STEPS: dict[str, Step] = {
     "second_look": _no_look,  # the network on enlarged unexplained regions; only where `postprocess` is given `look`
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
     "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
+    "drop_without_outline": drop_without_outline,  # what looks like all around it is background
     "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
     "confidence": set_confidence,  # scores of moving objects by their likelihood
 }

@@ -65,6 +65,22 @@ class StaticTestSettings(Settings):
 
 
 @dataclass(frozen=True)
+class OutlineSettings(Settings):
+    """When an object differs too little from what is around it to be one (`drop_without_outline`)."""
+
+    min_unchanged: float = setting(0.5, minimum=0, maximum=1)
+    """Share of an object whose depth did not change, from which it needs an outline."""
+    min_contrast: float = setting(3.0, minimum=0)
+    """Grey levels of CIELAB by which an object's colour differs from that around it."""
+    min_sigmas: float = setting(3.0, minimum=0)
+    """Standard deviations of depth by which an object is nearer or farther than what is around it."""
+    reach_px: int = setting(5, minimum=1)
+    """Pixels, at the width of the likelihood, on both sides of the border that are compared."""
+    min_border: int = setting(8, minimum=1)
+    """Fewest pixels of a border that can be compared."""
+
+
+@dataclass(frozen=True)
 class RetryStaticSettings(Settings):
     """When an object at rest is registered once more, and when it moved after all (`retry_static`)."""
 
@@ -253,7 +269,7 @@ class PostprocessSettings(Settings):
     steps: tuple[str, ...] = (
         "refine", "split", "static_test", "retry_static", "motion_search", "merge",
         "reassign", "merge", "second_look", "missed_objects", "static_test",
-        "rest_hidden", "drop_uncertain", "confidence",
+        "rest_hidden", "drop_without_outline", "drop_uncertain", "confidence",
     )  # fmt: skip
     """Names of the steps in their order; see `postprocess.pipeline.STEPS`."""
     label_size: tuple[int, int] | None = None
@@ -264,6 +280,7 @@ class PostprocessSettings(Settings):
     likelihood: LikelihoodSettings = LikelihoodSettings()
     refine: RefineSettings = RefineSettings()
     static_test: StaticTestSettings = StaticTestSettings()
+    outline: OutlineSettings = OutlineSettings()
     retry_static: RetryStaticSettings = RetryStaticSettings()
     split: SplitSettings = SplitSettings()
     motion_search: MotionSearchSettings = MotionSearchSettings()
