@@ -19,7 +19,11 @@ from objectflow.geometry.camera import Camera
 from objectflow.methods.postprocess.color_proposals import propose_positions
 from objectflow.methods.postprocess.motion_search import PoseHypotheses, search_motions, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
-from objectflow.methods.postprocess.search_settings import MotionSearchSettings, SearchLevelSettings
+from objectflow.methods.postprocess.search_settings import (
+    FeatureMotionSettings,
+    MotionSearchSettings,
+    SearchLevelSettings,
+)
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.motion import ObjectMotion
 from objectflow.settings import build
@@ -154,7 +158,7 @@ def test_correct_motions_stay() -> None:
         MotionSearchSettings(max_trusted_cost=100.0),
         MotionSearchSettings(min_cost_reduction=100.0),
         MotionSearchSettings(min_inlier_ratio=1.0),
-        MotionSearchSettings(cost_per_metre=1000.0),
+        MotionSearchSettings(cost_per_metre=1000.0, features=FeatureMotionSettings(min_inliers=10**6)),
         MotionSearchSettings(min_pixels=10**6),
     ],
     ids=lambda settings: str(next(k for k, v in vars(settings).items() if v != vars(MotionSearchSettings())[k])),

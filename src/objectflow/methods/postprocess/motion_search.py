@@ -8,6 +8,7 @@ are perturbed and selected at ever finer levels, and the last few are registered
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -17,6 +18,7 @@ from objectflow.alignment import registration
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.color_proposals import propose_positions
+from objectflow.methods.postprocess.feature_motions import feature_motion, match_features
 from objectflow.methods.postprocess.new_motion import with_motion
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
@@ -84,6 +86,7 @@ def search_motions(
         partial(_search, frames, likelihood, mask, motions[number], search) for number, mask in doubted.items()
     )
     found = dict(zip(doubted, side_by_side(*searches), strict=True))
+    found |= _by_features(pair, likelihood, {number: (doubted[number], found[number]) for number in doubted}, search)
     tolerance = settings.static_test.static_displacement
     return labels, tuple(
         with_motion(obj, found[obj.id], likelihood.points[masks[obj.id]], tolerance)
@@ -125,6 +128,31 @@ def _search(
         total = float(cost.mean()) + settings.cost_per_metre * float(distance)
         if total < best and (cost < settings.inlier_cost).mean() > settings.min_inlier_ratio:
             best, out = total, motion
+    return out
+
+
+def _by_features(
+    pair: FramePair,
+    likelihood: PairLikelihood,
+    objects: Mapping[int, tuple[BoolMask, Float64Array]],
+    settings: MotionSearchSettings,
+) -> dict[int, Float64Array]:
+    """Better motions of objects, given with their masks and motions, that the search leaves unexplained."""
+    out = {}
+    for number, (mask, motion) in objects.items():
+        own, static = (
+            float(likelihood.cost(one, mask, out_of_view=settings.cost_out_of_view).mean())
+            for one in (motion, np.eye(4))
+        )
+        if own <= settings.max_trusted_cost:
+            continue
+        found = feature_motion(match_features(pair, settings.features), pair, likelihood, mask, settings.features)
+        if found is None:
+            continue
+        cost = likelihood.cost(found, mask, out_of_view=settings.cost_out_of_view)
+        explained = float((cost < settings.inlier_cost).mean())
+        if cost.mean() < min(own, static) - settings.min_cost_reduction and explained > settings.min_inlier_ratio:
+            out[number] = found
     return out
 
 

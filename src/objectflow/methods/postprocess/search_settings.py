@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from objectflow.alignment.matching import MatchSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.errors import SettingsError
 from objectflow.settings import Settings, setting
@@ -95,6 +96,20 @@ class SearchLevelSettings(Settings):
 
 
 @dataclass(frozen=True)
+class FeatureMotionSettings(Settings):
+    """Motions by features of objects that the search leaves unexplained (`feature_motions`)."""
+
+    min_inliers: int = setting(8, minimum=3)
+    """Fewest features of an object that agree on a motion."""
+    trials: int = setting(250, minimum=1)
+    """Minimal sets of three features that are drawn at a time."""
+    max_points: int = setting(400, minimum=6)
+    """Maximum number of points that are registered."""
+    matching: MatchSettings = MatchSettings()
+    registration: RegistrationSettings = RegistrationSettings(iterations=4)
+
+
+@dataclass(frozen=True)
 class MotionSearchSettings(Settings):
     """Which motions are searched again, and which results replace them (`motion_search`)."""
 
@@ -109,7 +124,8 @@ class MotionSearchSettings(Settings):
     min_inlier_ratio: float = setting(0.3, minimum=0, maximum=1)
     """Minimum share of pixels that another motion explains."""
     cost_per_metre: float = setting(10.0, minimum=0)
-    """Cost per metre between an object's centre under a hypothesis and under the present motion."""
+    """Cost per metre between an object's centre under a hypothesis and under the present motion; motions that
+    features follow are without it."""
     max_distance_cost: float = setting(3.0, minimum=0)
     """Highest cost of that distance."""
     cost_out_of_view: float = setting(3.0, minimum=0)
@@ -127,4 +143,5 @@ class MotionSearchSettings(Settings):
     colors: ColorProposalSettings = ColorProposalSettings()
     start: SearchStartSettings = SearchStartSettings()
     levels: SearchLevelSettings = SearchLevelSettings()
+    features: FeatureMotionSettings = FeatureMotionSettings()
     registration: RegistrationSettings = RegistrationSettings(iterations=4)
