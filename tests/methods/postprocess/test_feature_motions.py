@@ -72,7 +72,7 @@ def test_features_find_a_card_again_that_moved_far_and_turned_upside_down() -> N
 
 @pytest.mark.parametrize(("min_inliers", "is_found"), [(8, True), (100_000, False)])
 def test_the_search_takes_the_motion_of_the_features(min_inliers: int, is_found: bool) -> None:
-    """From a motion that is 58 cm off; the search by sampling alone ends elsewhere."""
+    """The start is 58 cm off, and the search by sampling alone ends elsewhere."""
     prev, curr, mask = frames()
     settings = dataclasses.replace(
         DEFAULTS,

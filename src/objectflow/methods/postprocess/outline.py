@@ -45,17 +45,17 @@ def drop_without_outline(
 
 def _has_outline(likelihood: PairLikelihood, mask: BoolMask, outside: BoolMask, settings: OutlineSettings) -> bool:
     """Whether a mask differs from the pixels around it in the current frame, or too few of these are known."""
-    frame, noise = likelihood.pair.curr.frame, likelihood.pair.noise
-    lab = cv2.cvtColor(frame.color, cv2.COLOR_RGB2LAB).astype(np.float32)
+    curr, noise = likelihood.pair.curr, likelihood.pair.noise
+    _, *lab = curr.appearance.channels
     # The inverse depth of a plane is linear in the image, so its steps across the border have no common sign.
-    inverse = np.where(frame.depth > 0, 1 / np.maximum(frame.depth, 1e-6), 0).astype(np.float32)
-    steps = _steps(np.dstack([lab, inverse]), mask, outside, settings.reach_px)
+    inverse = np.where(curr.valid, 1 / np.maximum(curr.frame.depth, 1e-6), 0).astype(np.float32)
+    steps = _steps(np.dstack([*lab, inverse]), mask, outside, settings.reach_px)
     if len(steps) < settings.min_border:
         return True
-    depth = float(np.median(frame.depth[mask]))
-    nearer = abs(float(np.median(steps[:, 3]))) * depth**2
-    colour = float(np.median(np.linalg.norm(steps[:, :3], axis=1)))
-    return colour >= settings.min_contrast or nearer >= settings.min_sigmas * float(noise.sigma(np.array(depth)))
+    depth = float(np.median(curr.frame.depth[mask]))
+    depth_step = abs(float(np.median(steps[:, 3]))) * depth**2
+    contrast = float(np.median(np.linalg.norm(steps[:, :3], axis=1)))
+    return contrast >= settings.min_contrast or depth_step >= settings.min_sigmas * float(noise.sigma(np.array(depth)))
 
 
 def _steps(image: Float32Array, mask: BoolMask, outside: BoolMask, reach: int) -> Float32Array:

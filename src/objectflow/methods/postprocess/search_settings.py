@@ -124,8 +124,8 @@ class MotionSearchSettings(Settings):
     min_inlier_ratio: float = setting(0.3, minimum=0, maximum=1)
     """Minimum share of pixels that another motion explains."""
     cost_per_metre: float = setting(10.0, minimum=0)
-    """Cost per metre between an object's centre under a hypothesis and under the present motion; motions that
-    features follow are without it."""
+    """Cost per metre between an object's centre under a hypothesis and under the present motion. It is
+    not added to motions from features."""
     max_distance_cost: float = setting(3.0, minimum=0)
     """Highest cost of that distance."""
     cost_out_of_view: float = setting(3.0, minimum=0)

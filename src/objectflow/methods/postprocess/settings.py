@@ -71,9 +71,9 @@ class OutlineSettings(Settings):
     min_unchanged: float = setting(0.5, minimum=0, maximum=1)
     """Share of an object whose depth did not change, from which it needs an outline."""
     min_contrast: float = setting(3.0, minimum=0)
-    """Grey levels of CIELAB by which an object's colour differs from that around it."""
+    """Smallest difference, in levels of 8-bit CIELAB, between the colours inside and outside of an outline."""
     min_sigmas: float = setting(3.0, minimum=0)
-    """Standard deviations of depth by which an object is nearer or farther than what is around it."""
+    """Smallest step of depth at an outline, in standard deviations of depth."""
     reach_px: int = setting(5, minimum=1)
     """Pixels, at the width of the likelihood, on both sides of the border that are compared."""
     min_border: int = setting(8, minimum=1)
