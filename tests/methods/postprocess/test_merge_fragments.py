@@ -176,6 +176,28 @@ def test_pieces_beyond_a_depth_step_are_merged_if_one_motion_explains_both(
     assert len(merge_fragments(pair, labels, objects, settings)[1]) == count
 
 
+@pytest.mark.parametrize(
+    ("gap", "offset", "merge", "count"),
+    [
+        pytest.param(0.011, 0.2, MergeSettings(), TWO_OBJECTS, id="beyond a gap, and no motion explains it"),
+        pytest.param(0.011, 0.2, MergeSettings(max_apart_piece_cost=6.0), ONE_OBJECT, id="a larger cost beyond a gap"),
+        pytest.param(0.0, 0.2, MergeSettings(), TWO_OBJECTS, id="on one surface, and no motion explains it"),
+        pytest.param(0.0, 0.2, MergeSettings(max_piece_cost=6.0), ONE_OBJECT, id="a larger cost on one surface"),
+        pytest.param(0.0, 0.0, MergeSettings(), ONE_OBJECT, id="explained"),
+    ],
+)
+def test_a_small_piece_is_explained_by_itself(gap: float, offset: float, merge: MergeSettings, count: int) -> None:
+    """A small piece of the plate was `offset` metres farther away in the previous frame than under its motion."""
+    pair, labels = two_halves(gap)
+    labels[(labels == 1) & (np.arange(80) < 33)] = 0
+    prev = np.where(labels == 1, pair.prev.frame.depth + np.float32(offset), pair.prev.frame.depth)
+    pair = FramePair(dataclasses.replace(pair.prev.frame, depth=prev), pair.curr.frame)
+    lost = geometry.make_transform(np.eye(3), [0.0, 0.0, -0.4])
+    objects = (half(1, 40, lost if offset else SHIFT), half(2, 500))
+    settings = dataclasses.replace(DEFAULTS, merge=merge)
+    assert len(merge_fragments(pair, labels, objects, settings)[1]) == count
+
+
 def test_three_pieces_become_one_object() -> None:
     pair, labels = two_halves()
     labels[20:40, 50:60] = 3

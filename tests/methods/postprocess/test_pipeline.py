@@ -172,15 +172,21 @@ def test_borders_move_only_where_labels_were_found_on_a_smaller_image() -> None:
     assert [obj.pixels for obj in found] == [int((snapped == obj.id).sum()) for obj in found]
 
 
-@pytest.mark.parametrize(("minimum", "kept"), [(0.0, [1, 2, 3]), (0.3, [1, 3]), (1.0, [1])])
-def test_only_static_objects_of_low_score_are_dropped(minimum: float, kept: list[int]) -> None:
+@pytest.mark.parametrize(
+    ("minimum", "unexplained", "kept"),
+    [(0.0, 0.0, [1, 2, 3, 4]), (0.3, 0.2, [1, 3, 4]), (0.3, 0.26, [1, 3]), (0.6, 0.2, [1, 4]), (0.6, 0.6, [1])],
+)
+def test_static_objects_of_low_score_are_dropped(minimum: float, unexplained: float, kept: list[int]) -> None:
+    """Objects 1 and 4 are where something moved; standing still explains 2 and 3, which are background."""
     scene = network_output()[0]
-    labels = np.repeat(np.arange(4, dtype=np.int32), 3)[None]
+    first, second = sorted(scene.moving, key=lambda k: -int((scene.labels == k).sum()))[:2]
+    labels = np.select([scene.labels == first, scene.labels == second], [1, 4], 0).astype(np.int32)
+    labels[:20][scene.labels[:20] == 0], labels[-20:][scene.labels[-20:] == 0] = 2, 3
     objects = tuple(
-        ObjectMotion(k, 3, score, moving, np.zeros(3), np.eye(4))
-        for k, score, moving in ((1, 0.05, True), (2, 0.1, False), (3, 0.5, False))
+        ObjectMotion(k, int((labels == k).sum()), score, moving, np.zeros(3), np.eye(4))
+        for k, score, moving in ((1, 0.05, True), (2, 0.25, False), (3, 0.5, False), (4, 0.25, False))
     )
-    settings = PostprocessSettings(min_static_score=minimum)
+    settings = PostprocessSettings(min_static_score=minimum, min_unexplained_score=unexplained)
     out, found = STEPS["drop_uncertain"](FramePair(scene.prev, scene.curr), labels, objects, settings)
     assert [obj.score for obj in found] == [objects[k - 1].score for k in kept]
     expected = np.zeros_like(labels)

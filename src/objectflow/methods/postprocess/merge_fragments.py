@@ -84,9 +84,12 @@ def _partner(
         limit = best if joined or agree else min(best, settings.max_apart_loss)
         max_cost = settings.max_cost * (settings.agreement_factor if agree and joined else 1.0)
         apart = own + likelihood.cost(other.prev_T_curr, theirs).sum()
+        max_piece_cost = settings.max_piece_cost if joined else settings.max_apart_piece_cost
         for motion in (other.prev_T_curr, small.prev_T_curr):
-            together = likelihood.cost(motion, mask).sum() + likelihood.cost(motion, theirs).sum()
-            count = mask.sum() + theirs.sum()
+            pieces = [likelihood.cost(motion, piece) for piece in (mask, theirs)]
+            if max(float(cost.mean()) for cost in pieces) > max_piece_cost:
+                continue
+            together, count = sum(float(cost.sum()) for cost in pieces), mask.sum() + theirs.sum()
             lost = float(together - apart) / count
             if lost < limit and together < max_cost * count:
                 best = limit = lost

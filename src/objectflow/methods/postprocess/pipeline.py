@@ -25,7 +25,7 @@ from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.second_look import Look, second_look
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.split_objects import split_objects
-from objectflow.methods.postprocess.static_test import reject_static, rest_hidden
+from objectflow.methods.postprocess.static_test import drop_uncertain, reject_static, rest_hidden
 from objectflow.typing import LabelImage
 
 Step = Callable[[FramePair, LabelImage, Objects, PostprocessSettings], tuple[LabelImage, Objects]]
@@ -44,13 +44,6 @@ def _snap(
         return labels, objects
     snapped = snap_to_edges(labels, pair.curr, settings.label_size, pair.noise, settings.snap_to_edges)
     return relabel_present(snapped, objects)
-
-
-def _drop_uncertain(
-    _: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
-) -> tuple[LabelImage, Objects]:
-    kept = tuple(obj for obj in objects if obj.moving or obj.score >= settings.min_static_score)
-    return relabel_present(labels, kept)
 
 
 def _no_look(
@@ -72,7 +65,7 @@ STEPS: dict[str, Step] = {
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
     "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
     "drop_without_outline": drop_without_outline,  # what looks like all around it is background
-    "drop_uncertain": _drop_uncertain,  # static objects of low probability are background
+    "drop_uncertain": drop_uncertain,  # static objects of low probability are background
     "confidence": set_confidence,  # scores of moving objects by their likelihood
 }
 """Every step by its name, in the default order."""

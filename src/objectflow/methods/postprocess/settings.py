@@ -196,6 +196,11 @@ class MergeSettings(Settings):
     larger one. Farther pieces with one motion may be things that were moved together."""
     max_apart_loss: float = setting(0.05, minimum=0)
     """Largest loss of such fragments, unless their motions agree."""
+    max_piece_cost: float = setting(2.0, minimum=0)
+    """Largest mean cost per pixel of each fragment under the common motion. A small fragment hardly counts in the mean
+    over both, and one that no motion explains loses nothing by following a large one."""
+    max_apart_piece_cost: float = setting(0.95, minimum=0)
+    """The same of fragments that do not touch along a continuous surface; a pixel that was hidden costs 1 or more."""
     max_points: int = setting(300, minimum=3)
     """Maximum number of points of each fragment between which this distance is measured."""
 
@@ -277,6 +282,10 @@ class PostprocessSettings(Settings):
     Estimators set it to the size of the network's input; none leaves borders as they are."""
     min_static_score: float = setting(0.3, minimum=0, maximum=1)
     """Minimum score of a static object; moving objects have further evidence."""
+    min_unexplained_score: float = setting(0.2, minimum=0, maximum=1)
+    """The same of an object that standing still does not explain."""
+    unexplained_cost: float = setting(1.5, minimum=0)
+    """Mean cost of standing still from which this is so; that of a pixel that was hidden is 1 or 2."""
     likelihood: LikelihoodSettings = LikelihoodSettings()
     refine: RefineSettings = RefineSettings()
     static_test: StaticTestSettings = StaticTestSettings()

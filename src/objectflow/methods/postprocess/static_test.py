@@ -14,7 +14,7 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.geometry.moved import displaces
-from objectflow.methods.labels import Objects
+from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.methods.postprocess.uncovered import RestingCosts
@@ -112,6 +112,36 @@ def rest_hidden(
             rests = gain <= 0 and float(static.mean()) <= settings.static_test.hidden_cost
         out.append(dataclasses.replace(obj, prev_T_curr=np.eye(4), moving=False) if rests else obj)
     return labels, tuple(out)
+
+
+def drop_uncertain(
+    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
+) -> tuple[LabelImage, Objects]:
+    """Remove static objects of low probability.
+
+    The limit is lower for an object that standing still does not explain: it may have moved, although no motion was
+    found.
+
+    Args:
+        pair: the frames, from a static camera.
+        labels: (H, W) int32.
+        objects: static ones have the network's probability as their score.
+        settings: `min_static_score`, `min_unexplained_score`, `unexplained_cost` and `likelihood` apply.
+
+    Returns:
+        Labels and objects, numbered anew from 1.
+    """
+    likelihood = PairLikelihood.of(pair, settings.likelihood)
+    small = likelihood.downscale(labels)
+    kept = []
+    for obj in objects:
+        certain = obj.moving or obj.score >= settings.min_static_score
+        if not certain and obj.score >= settings.min_unexplained_score:
+            mask = likelihood.mask(small, obj.id)
+            certain = bool(mask.any()) and float(likelihood.cost_at_rest(mask).mean()) >= settings.unexplained_cost
+        if certain:
+            kept.append(obj)
+    return relabel_present(labels, tuple(kept))
 
 
 def _is_shadow(
