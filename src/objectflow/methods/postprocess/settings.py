@@ -283,9 +283,12 @@ class PostprocessSettings(Settings):
     min_static_score: float = setting(0.3, minimum=0, maximum=1)
     """Minimum score of a static object; moving objects have further evidence."""
     min_unexplained_score: float = setting(0.2, minimum=0, maximum=1)
-    """The same of an object that standing still does not explain."""
+    """The same of a static object that standing still does not explain."""
+    min_unexplained_share: float = setting(0.0013, minimum=0, maximum=1)
+    """Minimum share of the image of a moving object of lower score that its motion does not explain."""
     unexplained_cost: float = setting(1.5, minimum=0)
-    """Mean cost of standing still from which this is so; that of a pixel that was hidden is 1 or 2."""
+    """Mean cost from which a motion, or standing still, does not explain an object; that of a pixel that was hidden is
+    1 or 2."""
     likelihood: LikelihoodSettings = LikelihoodSettings()
     refine: RefineSettings = RefineSettings()
     static_test: StaticTestSettings = StaticTestSettings()

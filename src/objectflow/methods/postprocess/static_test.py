@@ -19,7 +19,7 @@ from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
-from objectflow.typing import LabelImage
+from objectflow.typing import BoolMask, LabelImage
 
 
 class MotionEvidence(NamedTuple):
@@ -117,31 +117,38 @@ def rest_hidden(
 def drop_uncertain(
     pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
 ) -> tuple[LabelImage, Objects]:
-    """Remove static objects of low probability.
+    """Remove objects of low probability that nothing but the network speaks for.
 
-    The limit is lower for an object that standing still does not explain: it may have moved, although no motion was
-    found.
+    These are static objects, unless standing still does not explain them: they may have moved, although no motion was
+    found. Of moving objects, they are small ones that their motion does not explain.
 
     Args:
         pair: the frames, from a static camera.
         labels: (H, W) int32.
-        objects: static ones have the network's probability as their score.
-        settings: `min_static_score`, `min_unexplained_score`, `unexplained_cost` and `likelihood` apply.
+        objects: with the network's probability as their score.
+        settings: `min_static_score`, `min_unexplained_score`, `min_unexplained_share`, `unexplained_cost` and
+            `likelihood` apply.
 
     Returns:
         Labels and objects, numbered anew from 1.
     """
     likelihood = PairLikelihood.of(pair, settings.likelihood)
     small = likelihood.downscale(labels)
-    kept = []
-    for obj in objects:
-        certain = obj.moving or obj.score >= settings.min_static_score
-        if not certain and obj.score >= settings.min_unexplained_score:
-            mask = likelihood.mask(small, obj.id)
-            certain = bool(mask.any()) and float(likelihood.cost_at_rest(mask).mean()) >= settings.unexplained_cost
-        if certain:
-            kept.append(obj)
-    return relabel_present(labels, tuple(kept))
+    kept = tuple(obj for obj in objects if _is_certain(likelihood, likelihood.mask(small, obj.id), obj, settings))
+    return relabel_present(labels, kept)
+
+
+def _is_certain(likelihood: PairLikelihood, mask: BoolMask, obj: ObjectMotion, settings: PostprocessSettings) -> bool:
+    """Whether an object's probability or the frames speak for it; see `drop_uncertain`."""
+    if obj.score >= settings.min_static_score:
+        return True
+    if not mask.any():
+        return False
+    if obj.moving:
+        explained = float(likelihood.cost(obj.prev_T_curr, mask).mean()) < settings.unexplained_cost
+        return explained or float(mask.mean()) >= settings.min_unexplained_share
+    unexplained = float(likelihood.cost_at_rest(mask).mean()) >= settings.unexplained_cost
+    return unexplained and obj.score >= settings.min_unexplained_score
 
 
 def _is_shadow(
