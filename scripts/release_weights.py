@@ -19,6 +19,7 @@ import json
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,6 +80,8 @@ class Settings:
     """With --pack: number of queries of rigidmatch, if not that of training."""
     history: str = ""
     """With --pack: a sentence for the card about earlier runs from which the training started."""
+    credits: tuple[Path, ...] = ()
+    """With --pack: the credits.json of the data sets, whose meshes the card lists with their authors and licences."""
 
 
 def main(settings: Settings) -> None:
@@ -87,7 +90,7 @@ def main(settings: Settings) -> None:
 
     if settings.pack is not None:
         tables = "" if settings.tables is None else settings.tables.read_text(encoding="utf-8")
-        pack(settings.pack, tables, settings.history, settings.size, settings.queries)
+        pack(settings.pack, tables, settings.history, settings.size, settings.queries, settings.credits)
         return
     device = settings.device
     if device == "auto":
@@ -160,7 +163,12 @@ def validation_error(weights: Path) -> float:
 
 
 def pack(
-    weights: Path, tables: str, history: str = "", size: tuple[int, int] | None = None, queries: int | None = None
+    weights: Path,
+    tables: str,
+    history: str = "",
+    size: tuple[int, int] | None = None,
+    queries: int | None = None,
+    credits: Sequence[Path] = (),
 ) -> None:
     """Write weights in half precision to their folder of released weights, with their card and their hash."""
     network, metadata = load_network(weights)
@@ -179,7 +187,8 @@ def pack(
             old.with_suffix(".md").unlink(missing_ok=True)
     save_weights(target, network, metadata, half=True)
     parameters = sum(parameter.numel() for parameter in network.parameters())
-    files.write_text(target.with_suffix(".md"), card(metadata, target, parameters, tables, history))
+    text = card(metadata, target, parameters, tables, history) + mesh_credits(credits)
+    files.write_text(target.with_suffix(".md"), text)
     print(f"written: {target} and its card")
 
 
@@ -210,6 +219,21 @@ Recipe: {fields}. {history}
 
 {LIMITS["rigidmatch" if metadata["variant"] == "rigidmatch" else "sceneflownet"]}
 """
+
+
+def mesh_credits(paths: Sequence[Path]) -> str:
+    """A section of the card: titles, authors and licences of the meshes that data sets show, one line per author."""
+    models: dict[str, dict[str, str]] = {}
+    for path in paths:
+        models |= json.loads(path.read_text(encoding="utf-8"))
+    titles: dict[tuple[str, str], set[str]] = {}
+    for model in models.values():
+        titles.setdefault((model["author"], model["license"]), set()).add(model["title"])
+    if not titles:
+        return ""
+    lines = (f"- {author} ({license_}): {', '.join(sorted(names))}" for (author, license_), names in titles.items())
+    intro = "The training data show these models of Debian's package `sweethome3d-furniture`:"
+    return "\n## Models in the training data\n\n" + intro + "\n\n" + "\n".join(sorted(lines)) + "\n"
 
 
 LIMITS = {
