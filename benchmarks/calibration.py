@@ -1,12 +1,12 @@
 """Whether scores mean what they say, on a generated set: `python benchmarks/calibration.py --data data --split val`.
 
 Prints a reliability table: for every bin of scores the number of objects that were predicted to move, and the share of
-them whose motion is right.
+them whose motion is right. With `--results`, the results are those that `objectflow evaluate` wrote before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +18,11 @@ from rich.progress import track
 
 import objectflow
 from objectflow import geometry
+from objectflow.evaluation.cache import MethodCache
 from objectflow.evaluation.data.sources import open_set
 from objectflow.evaluation.data.truth import PairTruth, TrueObject
 from objectflow.evaluation.metrics.symmetry_error import displacement_error
+from objectflow.frame import RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.typing import Float32Array
 
@@ -50,6 +52,8 @@ class Settings:
     """Name of the method."""
     camera: Literal["auto", "static", "moving"] = "auto"
     """See `objectflow estimate --camera`."""
+    results: Path | None = None
+    """The folder that `objectflow evaluate --out` wrote for this set; its results are judged instead of new ones."""
 
 
 class ScoredMover(NamedTuple):
@@ -61,15 +65,35 @@ class ScoredMover(NamedTuple):
 
 def main(settings: Settings) -> None:
     pairs = open_set(str(settings.data), split=settings.split)
-    estimator = objectflow.load(settings.method, camera=settings.camera)
     keys = pairs.keys[: settings.limit]
+    estimate = results(settings) if settings.results else estimates(settings)
     movers: list[ScoredMover] = []
     for key in track(keys, "pairs"):
         pair = pairs.pair(key)
         points = geometry.back_project(pair.curr.depth, pair.curr.camera)
-        movers += judge_movers(estimator(pair.prev, pair.curr), pair.truth, points)
+        movers += judge_movers(estimate(key, pair.prev, pair.curr), pair.truth, points)
     print(f"{settings.method} on {len(keys)} pairs of {settings.data.name}, camera={settings.camera}\n")
     print("\n".join(reliability_rows(movers)))
+
+
+def estimates(settings: Settings) -> Callable[[str, RgbdFrame, RgbdFrame], SceneMotion]:
+    """Results of the method."""
+    estimator = objectflow.load(settings.method, camera=settings.camera)
+    return lambda _, prev, curr: estimator(prev, curr)
+
+
+def results(settings: Settings) -> Callable[[str, RgbdFrame, RgbdFrame], SceneMotion]:
+    """Results that were written before, by the keys of their pairs."""
+    assert settings.results is not None
+    cache = MethodCache(settings.results / "predictions" / settings.method)
+
+    def read(key: str, _: RgbdFrame, __: RgbdFrame) -> SceneMotion:
+        found = cache.read(key)
+        if found is None:
+            raise SystemExit(f"{cache.folder} has no result of {key}: evaluate the set, or lower --limit")
+        return found.motion
+
+    return read
 
 
 def judge_movers(motion: SceneMotion, truth: PairTruth, points: Float32Array) -> Iterator[ScoredMover]:

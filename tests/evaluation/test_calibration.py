@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 import analytic
 import calibration
 from helpers.truths import true_objects, truth_of_scene
 from objectflow import SceneMotion, geometry
+from objectflow.evaluation.cache import MethodCache, encode
 
 
 def test_right_and_wrong_motions_are_told_apart() -> None:
@@ -71,3 +74,17 @@ def test_half_the_displacement_of_an_object_that_hardly_moved_must_be_right() ->
         (judged,) = calibration.judge_movers(SceneMotion(labels, scene.scene_flow, (mover,)), small, points)
         rows.append(judged.right)
     assert rows == [True, False, False]
+
+
+def test_results_that_were_written_before_are_judged(tmp_path: Path) -> None:
+    scene = analytic.make_scene(53, objects=(3, 3))
+    motion = SceneMotion(scene.labels, scene.scene_flow, true_objects(scene))
+    cache = MethodCache(tmp_path / "predictions" / "rigidmatch")
+    with cache.claim({}):
+        cache.write("test-000003", encode(motion, key="test-000003", cold=False, machine="any"))
+    read = calibration.results(calibration.Settings(tmp_path, results=tmp_path))
+    found = read("test-000003", scene.prev, scene.curr)
+    np.testing.assert_array_equal(found.labels, scene.labels)
+    np.testing.assert_allclose(found.objects[0].prev_T_curr, motion.objects[0].prev_T_curr)
+    with pytest.raises(SystemExit, match="no result of test-000004"):
+        read("test-000004", scene.prev, scene.curr)
