@@ -117,10 +117,10 @@ def rest_hidden(
 def drop_uncertain(
     pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
 ) -> tuple[LabelImage, Objects]:
-    """Remove objects of low probability that nothing but the network speaks for.
+    """Remove objects of low probability that the frames do not support.
 
-    These are static objects, unless standing still does not explain them: they may have moved, although no motion was
-    found. Of moving objects, they are small ones that their motion does not explain.
+    Static objects are removed unless standing still does not explain them, since they may have moved although no
+    motion was found. Moving objects are removed if they are small and their motion does not explain them.
 
     Args:
         pair: the frames, from a static camera.
@@ -139,7 +139,7 @@ def drop_uncertain(
 
 
 def _is_certain(likelihood: PairLikelihood, mask: BoolMask, obj: ObjectMotion, settings: PostprocessSettings) -> bool:
-    """Whether an object's probability or the frames speak for it; see `drop_uncertain`."""
+    """Whether an object is probable, or the frames support it; see `drop_uncertain`."""
     if obj.score >= settings.min_static_score:
         return True
     if not mask.any():
