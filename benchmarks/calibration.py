@@ -66,7 +66,7 @@ class ScoredMover(NamedTuple):
 def main(settings: Settings) -> None:
     pairs = open_set(str(settings.data), split=settings.split)
     keys = pairs.keys[: settings.limit]
-    estimate = results(settings) if settings.results else estimates(settings)
+    estimate = results(settings.results, settings.method) if settings.results else estimates(settings)
     movers: list[ScoredMover] = []
     for key in track(keys, "pairs"):
         pair = pairs.pair(key)
@@ -82,10 +82,9 @@ def estimates(settings: Settings) -> Callable[[str, RgbdFrame, RgbdFrame], Scene
     return lambda _, prev, curr: estimator(prev, curr)
 
 
-def results(settings: Settings) -> Callable[[str, RgbdFrame, RgbdFrame], SceneMotion]:
+def results(folder: Path, method: str) -> Callable[[str, RgbdFrame, RgbdFrame], SceneMotion]:
     """Results that were written before, by the keys of their pairs."""
-    assert settings.results is not None
-    cache = MethodCache(settings.results / "predictions" / settings.method)
+    cache = MethodCache(folder / "predictions" / method)
 
     def read(key: str, _: RgbdFrame, __: RgbdFrame) -> SceneMotion:
         found = cache.read(key)

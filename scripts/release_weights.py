@@ -232,7 +232,8 @@ def mesh_credits(paths: Sequence[Path]) -> str:
     if not titles:
         return ""
     lines = (f"- {author} ({license_}): {', '.join(sorted(names))}" for (author, license_), names in titles.items())
-    intro = "The training data show these models of Debian's package `sweethome3d-furniture`:"
+    sources = ", ".join(sorted({model["source"].partition(",")[0] for model in models.values()}))
+    intro = f"The training data show these models ({sources}):"
     return "\n## Models in the training data\n\n" + intro + "\n\n" + "\n".join(sorted(lines)) + "\n"
 
 

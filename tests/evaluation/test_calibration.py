@@ -82,7 +82,7 @@ def test_results_that_were_written_before_are_judged(tmp_path: Path) -> None:
     cache = MethodCache(tmp_path / "predictions" / "rigidmatch")
     with cache.claim({}):
         cache.write("test-000003", encode(motion, key="test-000003", cold=False, machine="any"))
-    read = calibration.results(calibration.Settings(tmp_path, results=tmp_path))
+    read = calibration.results(tmp_path, "rigidmatch")
     found = read("test-000003", scene.prev, scene.curr)
     np.testing.assert_array_equal(found.labels, scene.labels)
     np.testing.assert_allclose(found.objects[0].prev_T_curr, motion.objects[0].prev_T_curr)

@@ -24,6 +24,7 @@ def merge_fragments(
     Each object, the smallest first, is merged into the neighbour with which the least likelihood is lost. Where the
     two motions agree within the noise of matches, they may explain their objects less well. Neighbours beyond a small
     gap or a step of depth, such as the handle of a cup, are merged if the motions agree or hardly anything is lost.
+    The common motion must explain each of them by itself.
     Two bodies that move as one cannot be told from one body; static objects are never merged.
 
     Args:

@@ -14,6 +14,7 @@ from objectflow.errors import SettingsError
 from objectflow.methods.labels import Objects, relabel_present
 from objectflow.methods.mask_edges import snap_to_edges
 from objectflow.methods.postprocess.changes import StepChange, describe_change
+from objectflow.methods.postprocess.drop_uncertain import drop_uncertain
 from objectflow.methods.postprocess.merge_fragments import merge_fragments
 from objectflow.methods.postprocess.missed_objects import recover_missed_objects
 from objectflow.methods.postprocess.motion_search import search_motions
@@ -25,7 +26,7 @@ from objectflow.methods.postprocess.scoring import set_confidence
 from objectflow.methods.postprocess.second_look import Look, second_look
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.methods.postprocess.split_objects import split_objects
-from objectflow.methods.postprocess.static_test import drop_uncertain, reject_static, rest_hidden
+from objectflow.methods.postprocess.static_test import reject_static, rest_hidden
 from objectflow.typing import LabelImage
 
 Step = Callable[[FramePair, LabelImage, Objects, PostprocessSettings], tuple[LabelImage, Objects]]
@@ -65,7 +66,7 @@ STEPS: dict[str, Step] = {
     "missed_objects": recover_missed_objects,  # what changed outside of all objects
     "rest_hidden": rest_hidden,  # what may have been hidden, where no motion explains it better, is static
     "drop_without_outline": drop_without_outline,  # what looks like all around it is background
-    "drop_uncertain": drop_uncertain,  # static objects of low probability are background
+    "drop_uncertain": drop_uncertain,  # improbable objects that the frames do not support are background
     "confidence": set_confidence,  # scores of moving objects by their likelihood
 }
 """Every step by its name, in the default order."""

@@ -14,12 +14,12 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.geometry.moved import displaces
-from objectflow.methods.labels import Objects, relabel_present
+from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, StaticTestSettings
 from objectflow.methods.postprocess.uncovered import RestingCosts
 from objectflow.motion import ObjectMotion
-from objectflow.typing import BoolMask, LabelImage
+from objectflow.typing import LabelImage
 
 
 class MotionEvidence(NamedTuple):
@@ -112,43 +112,6 @@ def rest_hidden(
             rests = gain <= 0 and float(static.mean()) <= settings.static_test.hidden_cost
         out.append(dataclasses.replace(obj, prev_T_curr=np.eye(4), moving=False) if rests else obj)
     return labels, tuple(out)
-
-
-def drop_uncertain(
-    pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
-) -> tuple[LabelImage, Objects]:
-    """Remove objects of low probability that the frames do not support.
-
-    Static objects are removed unless standing still does not explain them, since they may have moved although no
-    motion was found. Moving objects are removed if they are small and their motion does not explain them.
-
-    Args:
-        pair: the frames, from a static camera.
-        labels: (H, W) int32.
-        objects: with the network's probability as their score.
-        settings: `min_static_score`, `min_unexplained_score`, `min_unexplained_share`, `unexplained_cost` and
-            `likelihood` apply.
-
-    Returns:
-        Labels and objects, numbered anew from 1.
-    """
-    likelihood = PairLikelihood.of(pair, settings.likelihood)
-    small = likelihood.downscale(labels)
-    kept = tuple(obj for obj in objects if _is_certain(likelihood, likelihood.mask(small, obj.id), obj, settings))
-    return relabel_present(labels, kept)
-
-
-def _is_certain(likelihood: PairLikelihood, mask: BoolMask, obj: ObjectMotion, settings: PostprocessSettings) -> bool:
-    """Whether an object is probable, or the frames support it; see `drop_uncertain`."""
-    if obj.score >= settings.min_static_score:
-        return True
-    if not mask.any():
-        return False
-    if obj.moving:
-        explained = float(likelihood.cost(obj.prev_T_curr, mask).mean()) < settings.unexplained_cost
-        return explained or float(mask.mean()) >= settings.min_unexplained_share
-    unexplained = float(likelihood.cost_at_rest(mask).mean()) >= settings.unexplained_cost
-    return unexplained and obj.score >= settings.min_unexplained_score
 
 
 def _is_shadow(
