@@ -2,12 +2,12 @@
 
 A correct motion explains the previous frame far better than one that is off by centimetres; finding it is the hard
 part. From the present motion and from positions with the object's colours, in many orientations, the best hypotheses
-are perturbed and selected at ever finer levels, and the last few are registered to depth and colour.
+are perturbed and selected by a coarse likelihood, then registered to depth and colour, all at once, and judged by the
+likelihood proper: the coarse one prefers some wrong motion to the correct one nearly always.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from functools import partial
 
@@ -15,43 +15,27 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import registration
+from objectflow.alignment.batch_likelihood import batch_cost
+from objectflow.alignment.batch_registration import refine_batch
+from objectflow.alignment.batch_target import BatchSource, BatchTarget
 from objectflow.alignment.frame_pair import FramePair
+from objectflow.alignment.likelihood import LikelihoodSettings
 from objectflow.methods.labels import Objects
 from objectflow.methods.postprocess.color_proposals import propose_positions
 from objectflow.methods.postprocess.feature_motions import feature_motion, match_features
+from objectflow.methods.postprocess.motion_prior import MotionPrior
 from objectflow.methods.postprocess.new_motion import with_motion
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.pose_hypotheses import PoseHypotheses, perturb, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
 from objectflow.methods.postprocess.search_settings import MotionSearchSettings
 from objectflow.methods.postprocess.settings import PostprocessSettings
 from objectflow.runtime.side_threads import side_by_side
-from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray, LabelImage
+from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
 _AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float64)
 _AXES /= np.linalg.norm(_AXES, axis=1, keepdims=True)
 """Axes of the first rotations: the axes of the camera and the diagonals of its octants."""
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class PoseHypotheses:
-    """Hypotheses about an object's motion.
-
-    Attributes:
-        rotations: (K, 3, 3) `prev_R_curr`.
-        positions: (K, 3) metres: position of the object's centre in the previous frame.
-    """
-
-    rotations: Float64Array
-    positions: Float64Array
-
-    def take(self, index: IndexArray) -> PoseHypotheses:
-        """Some of them."""
-        return PoseHypotheses(self.rotations[index], self.positions[index])
-
-    def __add__(self, other: PoseHypotheses) -> PoseHypotheses:
-        return PoseHypotheses(
-            np.concatenate([self.rotations, other.rotations]), np.concatenate([self.positions, other.positions])
-        )
 
 
 def search_motions(
@@ -112,20 +96,22 @@ def _search(
     height, width = frames.curr_appearance.shape[:2]
     appearance = frames.curr_appearance[rows * height // mask.shape[0], columns * width // mask.shape[1]]
     center = points.mean(axis=0, dtype=np.float64)
-    hypotheses = coarse_to_fine_search(frames, points, appearance, first, random, settings)
-
+    hypotheses = coarse_search(frames, points, appearance, first, random, settings)
     pair = likelihood.pair
+    sample = BatchSource.take(pair, rows[: settings.judged.points], columns[: settings.judged.points], center)
+    prior = MotionPrior(first, center, len(rows), settings)
+    hypotheses = judged_search(pair, sample, hypotheses, prior, random, likelihood.settings, settings)
+
     source = pair.sources.take(mask, limit=settings.max_points)
-    out_of_view = settings.cost_out_of_view
-    own, static = (likelihood.cost(motion, mask, out_of_view=out_of_view).mean() for motion in (first, np.eye(4)))
+    own, static = (
+        likelihood.cost(motion, mask, out_of_view=settings.cost_out_of_view).mean() for motion in (first, np.eye(4))
+    )
     best, out = min(own, static) - settings.min_cost_reduction, first
-    count = settings.registered
-    for rotation, position in zip(hypotheses.rotations[:count], hypotheses.positions[:count], strict=True):
+    for rotation, position in zip(hypotheses.rotations, hypotheses.positions, strict=True):
         start = geometry.make_transform(rotation, position - rotation @ center)
         motion = registration.refine(pair.target, source, start, settings=settings.registration).prev_T_curr
-        cost = likelihood.cost(motion, mask, out_of_view=out_of_view)
-        distance = np.linalg.norm(geometry.transform(motion, center) - geometry.transform(first, center))
-        total = float(cost.mean()) + settings.cost_per_metre * float(distance)
+        cost = likelihood.cost(motion, mask, out_of_view=settings.cost_out_of_view)
+        total = float(cost.mean()) + prior(prior.hypothesis(motion)).item()
         if total < best and (cost < settings.inlier_cost).mean() > settings.min_inlier_ratio:
             best, out = total, motion
     return out
@@ -138,7 +124,7 @@ def _by_features(
     settings: MotionSearchSettings,
 ) -> dict[int, Float64Array]:
     """Better motions of objects, given with their masks and motions, that the search leaves unexplained."""
-    out = {}
+    features, out = settings.features, {}
     for number, (mask, motion) in objects.items():
         own, static = (
             float(likelihood.cost(one, mask, out_of_view=settings.cost_out_of_view).mean())
@@ -146,17 +132,17 @@ def _by_features(
         )
         if own <= settings.max_trusted_cost:
             continue
-        found = feature_motion(match_features(pair, settings.features), pair, likelihood, mask, settings.features)
+        found = feature_motion(match_features(pair, features), pair, likelihood, mask, features)
         if found is None:
             continue
         cost = likelihood.cost(found, mask, out_of_view=settings.cost_out_of_view)
         explained = float((cost < settings.inlier_cost).mean())
-        if cost.mean() < min(own, static) - settings.min_cost_reduction and explained > settings.min_inlier_ratio:
+        if cost.mean() < min(own, static) - features.min_cost_reduction and explained > features.min_inlier_ratio:
             out[number] = found
     return out
 
 
-def coarse_to_fine_search(
+def coarse_search(
     frames: SearchLikelihood,
     points: Float32Array,
     appearance: Float32Array,
@@ -210,27 +196,48 @@ def coarse_to_fine_search(
     return hypotheses
 
 
-def perturb(
-    hypotheses: PoseHypotheses, number: int, angle: float, shift: float, random: np.random.Generator
+def judged_search(
+    pair: FramePair,
+    source: BatchSource,
+    hypotheses: PoseHypotheses,
+    prior: MotionPrior,
+    random: np.random.Generator,
+    likelihood: LikelihoodSettings,
+    settings: MotionSearchSettings,
 ) -> PoseHypotheses:
-    """About `number` hypotheses, rotated and shifted at random with standard deviations in radians and metres."""
-    times = max(1, number // len(hypotheses.rotations))
-    index = np.repeat(np.arange(len(hypotheses.rotations)), times)
-    turns = geometry.so3_exp(random.normal(size=(len(index), 3)) * angle / np.sqrt(3))
-    shifts = random.normal(size=(len(index), 3)) * shift
-    return PoseHypotheses(turns @ hypotheses.rotations[index], hypotheses.positions[index] + shifts)
+    """Register hypotheses, perturb the best and register these, and return the best of all first.
 
+    Args:
+        pair: the frames, at the width of the likelihood.
+        source: the object's points, in random order.
+        hypotheses: the initial motions.
+        prior: of the motion.
+        random: draws the perturbations.
+        likelihood: by which they are judged.
+        settings: see there.
+    """
+    target, judged = BatchTarget.of(pair), settings.judged
+    fewer = source.first(judged.registered_points)
 
-def suppress_duplicates(
-    hypotheses: PoseHypotheses, cost: Float64Array, count: int, angle: float, shift: float
-) -> IndexArray:
-    """Indices of the cheapest hypotheses, no two of which lie within both `angle` (radians) and `shift` (metres)."""
-    order = np.argsort(cost, kind="stable")[: 6 * count]
-    kept: list[int] = []
-    while len(order) and len(kept) < count:
-        best, rest = order[0], order[1:]
-        kept.append(int(best))
-        cosine = ((hypotheses.rotations[rest] * hypotheses.rotations[best]).sum((1, 2)) - 1) / 2
-        apart = np.linalg.norm(hypotheses.positions[rest] - hypotheses.positions[best], axis=1) > shift
-        order = rest[apart | (cosine < np.cos(angle))]
-    return np.array(kept, dtype=np.intp)
+    def register(some: PoseHypotheses) -> tuple[PoseHypotheses, Float64Array]:
+        some = PoseHypotheses(
+            *refine_batch(target, fewer, some.rotations, some.positions, judged.iterations, judged.registration)
+        )
+        cost = batch_cost(
+            target,
+            source,
+            some.rotations,
+            some.positions,
+            out_of_view=settings.cost_out_of_view,
+            settings=likelihood,
+        )
+        return some, cost.mean(axis=1, dtype=np.float64) + prior(some)
+
+    angle, shift = np.radians(judged.angle_deg), judged.shift
+    hypotheses, cost = register(hypotheses)
+    best = suppress_duplicates(hypotheses, cost, judged.kept, angle / 2, shift / 2)
+    hypotheses, cost = hypotheses.take(best), cost[best]
+    more, more_cost = register(perturb(hypotheses, judged.perturbed, angle, shift, random))
+    hypotheses, cost = hypotheses + more, np.concatenate([cost, more_cost])
+    distinct = np.radians(judged.distinct_angle_deg), judged.distinct_shift
+    return hypotheses.take(suppress_duplicates(hypotheses, cost, settings.registered, *distinct))

@@ -22,10 +22,11 @@ class PairLikelihood:
     Attributes:
         pair: the frames at that width.
         points: (H, W, 3) float32 metres of the current frame; NaN without depth.
+        settings: the costs.
     """
 
     def __init__(self, pair: FramePair, settings: LikelihoodSettings) -> None:
-        self.pair, self._settings = pair.at_width(settings.width), settings
+        self.pair, self.settings = pair.at_width(settings.width), settings
         self.points = self.pair.curr.points
         self._costs: dict[tuple[bytes, bytes, float | None], Float32Array] = {}
         self._static_depth: tuple[Float32Array, BoolMask] | None = None
@@ -74,7 +75,7 @@ class PairLikelihood:
             None,
             out_of_view=np.inf,
             noise=pair.noise,
-            settings=self._settings,
+            settings=self.settings,
         )
         return np.asarray(np.where(hidden, np.inf, cost)[0])
 
@@ -93,7 +94,7 @@ class PairLikelihood:
             (curr.appearance, prev.appearance),
             box,
             noise=self.pair.noise,
-            settings=self._settings,
+            settings=self.settings,
         )
         return np.asarray(cost[area[box]])
 
@@ -109,14 +110,14 @@ class PairLikelihood:
 
     def static_cost(self) -> tuple[Float32Array, BoolMask]:
         """(H, W) cost of standing still under any light, and (H, W) bool: pixels that were hidden."""
-        return background_cost(self.pair, np.eye(4), self._settings)
+        return background_cost(self.pair, np.eye(4), self.settings)
 
     def static_depth_cost(self) -> tuple[Float32Array, BoolMask]:
         """`static_cost` of depth alone."""
         if self._static_depth is None:
             pair = self.pair
             self._static_depth = motion_cost(
-                pair.prev.frame, self.points, np.eye(4), None, noise=pair.noise, settings=self._settings
+                pair.prev.frame, self.points, np.eye(4), None, noise=pair.noise, settings=self.settings
             )
         return self._static_depth
 
@@ -134,7 +135,7 @@ class PairLikelihood:
             box,
             out_of_view=out_of_view,
             noise=self.pair.noise,
-            settings=self._settings,
+            settings=self.settings,
         )[0]
 
     def contact_ratio(self, labels: LabelImage, mask: BoolMask, max_depth_step: float) -> dict[int, float]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from objectflow import geometry
 from objectflow.alignment import registration
-from objectflow.methods.postprocess.motion_search import PoseHypotheses, perturb, suppress_duplicates
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
+from objectflow.methods.postprocess.pose_hypotheses import PoseHypotheses, perturb, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
 from objectflow.methods.postprocess.settings import PostprocessSettings, RivalSettings
 from objectflow.typing import BoolMask, Float32Array, Float64Array

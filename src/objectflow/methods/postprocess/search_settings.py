@@ -55,7 +55,7 @@ class SearchStartSettings(Settings):
     """Degrees: rotations about each of seven axes, in both directions."""
     points: int = setting(60, minimum=1)
     """Number of points on which these hypotheses are evaluated."""
-    kept: int = setting(24, minimum=1)
+    kept: int = setting(48, minimum=1)
     """Number of hypotheses that are kept."""
     depth_scale: float = setting(0.03, above=0)
     """Metres of depth difference that cost 0.5."""
@@ -69,22 +69,22 @@ class SearchStartSettings(Settings):
 
 @dataclass(frozen=True)
 class SearchLevelSettings(Settings):
-    """The levels of the search that follow, each value for one level."""
+    """The levels of the coarse search that follow, each value for one level."""
 
     points: int = setting(120, minimum=1)
     """Number of points on which hypotheses are evaluated at every level."""
-    angles_deg: tuple[float, ...] = setting((25.0, 15.0, 10.0, 5.0), minimum=0)
+    angles_deg: tuple[float, ...] = setting((25.0,), minimum=0)
     """Degrees: standard deviation of the random rotation. Two kept hypotheses differ by more than half of it or by
     more than half of `shifts`."""
-    shifts: tuple[float, ...] = setting((0.020, 0.015, 0.010, 0.005), minimum=0)
+    shifts: tuple[float, ...] = setting((0.020,), minimum=0)
     """Metres: standard deviation of the random shift."""
-    perturbed: tuple[int, ...] = setting((480, 360, 240, 160), minimum=1)
+    perturbed: tuple[int, ...] = setting((480,), minimum=1)
     """Number of perturbed hypotheses."""
-    kept: tuple[int, ...] = setting((16, 12, 8, 6), minimum=1)
+    kept: tuple[int, ...] = setting((96,), minimum=1)
     """Number of hypotheses that are kept."""
-    depth_scales: tuple[float, ...] = setting((0.025, 0.020, 0.015, 0.012), above=0)
+    depth_scales: tuple[float, ...] = setting((0.025,), above=0)
     """Metres of depth difference that cost 0.5."""
-    color_scales: tuple[float, ...] = setting((12.0, 10.0, 9.0, 8.0), above=0)
+    color_scales: tuple[float, ...] = setting((12.0,), above=0)
     """Difference in appearance that costs 0.5."""
 
     def __post_init__(self) -> None:
@@ -93,6 +93,32 @@ class SearchLevelSettings(Settings):
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {count}" for name, count in lengths.items())
             raise SettingsError(f"the settings of search levels need equally many values each, not {counts}")
+
+
+@dataclass(frozen=True)
+class JudgedSearchSettings(Settings):
+    """The search by registration and by the likelihood proper, which ends the search."""
+
+    points: int = setting(200, minimum=1)
+    """Number of points on which hypotheses are judged."""
+    registered_points: int = setting(80, minimum=6)
+    """Number of points by which hypotheses are registered."""
+    iterations: tuple[int, ...] = setting((4, 1), minimum=0)
+    """Steps of the registration for each blur of the grey images, coarse to fine."""
+    kept: int = setting(8, minimum=1)
+    """Number of hypotheses that are kept and perturbed."""
+    perturbed: int = setting(96, minimum=1)
+    """Number of perturbed hypotheses, which are registered as well."""
+    angle_deg: float = setting(8.0, minimum=0)
+    """Degrees: standard deviation of the random rotation. Two kept hypotheses differ by more than half of it or by
+    more than half of `shift`."""
+    shift: float = setting(0.008, minimum=0)
+    """Metres: standard deviation of the random shift."""
+    distinct_angle_deg: float = setting(3.0, minimum=0)
+    """Degrees: two of the last hypotheses differ by more than this or by more than `distinct_shift`."""
+    distinct_shift: float = setting(0.003, minimum=0)
+    """Metres: see `distinct_angle_deg`."""
+    registration: RegistrationSettings = RegistrationSettings()
 
 
 @dataclass(frozen=True)
@@ -105,6 +131,10 @@ class FeatureMotionSettings(Settings):
     """Minimal sets of three features that are drawn at a time."""
     max_points: int = setting(400, minimum=6)
     """Maximum number of points that are registered."""
+    min_cost_reduction: float = setting(0.2, minimum=0)
+    """Minimum mean cost that a motion by features saves against the present one and against standing still."""
+    min_inlier_ratio: float = setting(0.3, minimum=0, maximum=1)
+    """Minimum share of pixels that a motion by features explains."""
     matching: MatchSettings = MatchSettings()
     registration: RegistrationSettings = RegistrationSettings(iterations=4)
 
@@ -117,17 +147,22 @@ class MotionSearchSettings(Settings):
     """Pixels: width at which hypotheses are evaluated."""
     max_trusted_cost: float = setting(0.5, minimum=0)
     """Mean cost up to which a motion is not searched again."""
-    min_cost_reduction: float = setting(0.2, minimum=0)
+    min_cost_reduction: float = setting(0.1, minimum=0)
     """Minimum mean cost that another motion saves against the present one and against standing still."""
     inlier_cost: float = setting(1.0, above=0)
     """Cost up to which a pixel counts as explained."""
-    min_inlier_ratio: float = setting(0.3, minimum=0, maximum=1)
+    min_inlier_ratio: float = setting(0.15, minimum=0, maximum=1)
     """Minimum share of pixels that another motion explains."""
-    cost_per_metre: float = setting(10.0, minimum=0)
+    cost_per_metre: float = setting(8.0, minimum=0)
     """Cost per metre between an object's centre under a hypothesis and under the present motion. It is
     not added to motions from features."""
+    cost_per_radian: float = setting(0.35, minimum=0)
+    """Cost per radian between the rotations of a hypothesis and of the present motion."""
+    usual_pixels: int = setting(1000, minimum=1)
+    """Number of pixels, at the width of the likelihood, for which these two costs hold. They fall with the root of an
+    object's number of pixels, since more pixels are more evidence."""
     max_distance_cost: float = setting(3.0, minimum=0)
-    """Highest cost of that distance."""
+    """Highest cost of the distance in the coarse search."""
     cost_out_of_view: float = setting(3.0, minimum=0)
     """Cost of a point that the previous frame does not show: as high as a bad fit, since otherwise a motion that hides
     the object or moves it out of the image would win."""
@@ -135,13 +170,14 @@ class MotionSearchSettings(Settings):
     """Fewest pixels, at the width of the likelihood, of an object that is searched."""
     max_positions: int = setting(30, minimum=0)
     """Maximum number of initial positions by colour."""
-    registered: int = setting(2, minimum=1)
-    """Number of hypotheses that are registered at the end."""
+    registered: int = setting(3, minimum=1)
+    """Number of hypotheses that are registered with more points at the end."""
     max_points: int = setting(400, minimum=6)
     """Maximum number of points that are registered."""
     likelihood: SearchLikelihoodSettings = SearchLikelihoodSettings()
     colors: ColorProposalSettings = ColorProposalSettings()
     start: SearchStartSettings = SearchStartSettings()
     levels: SearchLevelSettings = SearchLevelSettings()
+    judged: JudgedSearchSettings = JudgedSearchSettings()
     features: FeatureMotionSettings = FeatureMotionSettings()
     registration: RegistrationSettings = RegistrationSettings(iterations=4)
