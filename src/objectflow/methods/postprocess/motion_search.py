@@ -14,7 +14,6 @@ from functools import partial
 import numpy as np
 
 from objectflow import geometry
-from objectflow.alignment import registration
 from objectflow.alignment.batch_likelihood import batch_cost
 from objectflow.alignment.batch_registration import refine_batch
 from objectflow.alignment.batch_target import BatchSource, BatchTarget
@@ -98,18 +97,26 @@ def _search(
     center = points.mean(axis=0, dtype=np.float64)
     hypotheses = coarse_search(frames, points, appearance, first, random, settings)
     pair = likelihood.pair
-    sample = BatchSource.take(pair, rows[: settings.judged.points], columns[: settings.judged.points], center)
+    source = BatchSource.take(pair, rows[: settings.max_points], columns[: settings.max_points], center)
     prior = MotionPrior(first, center, len(rows), settings)
-    hypotheses = judged_search(pair, sample, hypotheses, prior, random, likelihood.settings, settings)
+    hypotheses = judged_search(pair, source, hypotheses, prior, random, likelihood.settings, settings)
+    hypotheses = PoseHypotheses(
+        *refine_batch(
+            BatchTarget.of(pair),
+            source,
+            hypotheses.rotations,
+            hypotheses.positions,
+            settings.last_iterations,
+            settings.registration,
+        )
+    )
 
-    source = pair.sources.take(mask, limit=settings.max_points)
     own, static = (
         likelihood.cost(motion, mask, out_of_view=settings.cost_out_of_view).mean() for motion in (first, np.eye(4))
     )
     best, out = min(own, static) - settings.min_cost_reduction, first
     for rotation, position in zip(hypotheses.rotations, hypotheses.positions, strict=True):
-        start = geometry.make_transform(rotation, position - rotation @ center)
-        motion = registration.refine(pair.target, source, start, settings=settings.registration).prev_T_curr
+        motion = geometry.make_transform(rotation, position - rotation @ center)
         cost = likelihood.cost(motion, mask, out_of_view=settings.cost_out_of_view)
         total = float(cost.mean()) + prior(prior.hypothesis(motion)).item()
         if total < best and (cost < settings.inlier_cost).mean() > settings.min_inlier_ratio:
@@ -217,7 +224,7 @@ def judged_search(
         settings: see there.
     """
     target, judged = BatchTarget.of(pair), settings.judged
-    fewer = source.first(judged.registered_points)
+    source, fewer = source.first(judged.points), source.first(judged.registered_points)
 
     def register(some: PoseHypotheses) -> tuple[PoseHypotheses, Float64Array]:
         some = PoseHypotheses(

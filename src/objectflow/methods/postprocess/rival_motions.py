@@ -9,7 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from objectflow import geometry
-from objectflow.alignment import registration
+from objectflow.alignment.batch_likelihood import batch_cost
+from objectflow.alignment.batch_registration import refine_batch
+from objectflow.alignment.batch_target import BatchSource, BatchTarget
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.pose_hypotheses import PoseHypotheses, perturb, suppress_duplicates
 from objectflow.methods.postprocess.search_likelihood import SearchLikelihood
@@ -50,16 +52,34 @@ def rival_loss(
     displacement = float(np.linalg.norm(ends - points, axis=1).mean())
     distance = max(rivals.min_distance, rivals.min_relative_distance * displacement)
     found = _find_rivals(frames, mask, points, motion, distance, rivals)
-    source = likelihood.pair.sources.take(mask, limit=search.max_points)
-    out_of_view = search.cost_out_of_view
-    own = float(likelihood.cost(motion, mask, out_of_view=out_of_view).mean())
-    loss = np.inf
-    for rotation, position in zip(found.rotations, found.positions, strict=True):
-        start = geometry.make_transform(rotation, position - rotation @ center)
-        rival = registration.refine(likelihood.pair.target, source, start, settings=search.registration).prev_T_curr
-        if np.linalg.norm(geometry.transform(rival, points) - ends, axis=1).mean() > distance:
-            loss = min(loss, float(likelihood.cost(rival, mask, out_of_view=out_of_view).mean()) - own)
-    return float(loss)
+    pair, (rows, columns) = likelihood.pair, np.nonzero(mask)
+    if len(rows) > search.max_points:
+        pick = np.linspace(0, len(rows) - 1, search.max_points).astype(int)
+        rows, columns = rows[pick], columns[pick]
+    target, source = BatchTarget.of(pair), BatchSource.take(pair, rows, columns, center)
+    found = PoseHypotheses(
+        *refine_batch(target, source, found.rotations, found.positions, search.last_iterations, search.registration)
+    )
+    found = found.take(np.flatnonzero(_distances(found, points - center, ends) > distance))
+    if not len(found.rotations):
+        return np.inf
+    own = PoseHypotheses(motion[None, :3, :3], geometry.transform(motion, center)[None])
+    every = own + found
+    cost = batch_cost(
+        target,
+        source,
+        every.rotations,
+        every.positions,
+        out_of_view=search.cost_out_of_view,
+        settings=settings.likelihood,
+    ).mean(axis=1, dtype=np.float64)
+    return float(cost[1:].min() - cost[0])
+
+
+def _distances(hypotheses: PoseHypotheses, centered: Float64Array, ends: Float64Array) -> Float64Array:
+    """(K,) mean distance in metres between points (N, 3), given from their centre, under hypotheses and `ends`."""
+    carried = centered @ np.swapaxes(hypotheses.rotations, 1, 2) + hypotheses.positions[:, None]
+    return np.asarray(np.linalg.norm(carried - ends, axis=2).mean(axis=1))
 
 
 def _find_rivals(
@@ -81,9 +101,7 @@ def _find_rivals(
     ends = geometry.transform(motion, points[chosen])
 
     def keep_best(hypotheses: PoseHypotheses, count: int) -> PoseHypotheses:
-        carried = centered @ np.swapaxes(hypotheses.rotations, 1, 2) + hypotheses.positions[:, None]
-        apart = np.linalg.norm(carried - ends, axis=2).mean(axis=1)
-        hypotheses = hypotheses.take(np.flatnonzero(apart > distance))
+        hypotheses = hypotheses.take(np.flatnonzero(_distances(hypotheses, centered, ends) > distance))
         cost = frames(
             hypotheses.rotations,
             hypotheses.positions,

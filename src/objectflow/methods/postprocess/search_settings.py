@@ -174,10 +174,12 @@ class MotionSearchSettings(Settings):
     """Number of hypotheses that are registered with more points at the end."""
     max_points: int = setting(400, minimum=6)
     """Maximum number of points that are registered."""
+    last_iterations: tuple[int, ...] = setting((4, 4), minimum=0)
+    """Steps of the last registration for each blur of the grey images, coarse to fine."""
     likelihood: SearchLikelihoodSettings = SearchLikelihoodSettings()
     colors: ColorProposalSettings = ColorProposalSettings()
     start: SearchStartSettings = SearchStartSettings()
     levels: SearchLevelSettings = SearchLevelSettings()
     judged: JudgedSearchSettings = JudgedSearchSettings()
     features: FeatureMotionSettings = FeatureMotionSettings()
-    registration: RegistrationSettings = RegistrationSettings(iterations=4)
+    registration: RegistrationSettings = RegistrationSettings()
