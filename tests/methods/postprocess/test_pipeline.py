@@ -196,18 +196,26 @@ def test_static_objects_of_low_score_are_dropped(minimum: float, unexplained: fl
 
 
 @pytest.mark.parametrize(
-    ("score", "share", "right", "count"),
-    [(0.1, 1.0, False, 0), (0.1, 0.0, False, 1), (0.1, 1.0, True, 1), (0.3, 1.0, False, 1)],
+    ("score", "share", "tiny", "right", "count"),
+    [
+        (0.1, 1.0, 0.0, False, 0),
+        (0.1, 0.0, 0.0, False, 1),
+        (0.1, 1.0, 0.0, True, 1),
+        (0.3, 1.0, 0.0, False, 1),
+        (0.3, 1.0, 1.0, False, 0),
+        (0.3, 1.0, 1.0, True, 1),
+        (0.5, 1.0, 1.0, False, 1),
+    ],
 )
 def test_small_moving_objects_that_nothing_explains_are_dropped(
-    score: float, share: float, right: bool, count: int
+    score: float, share: float, tiny: float, right: bool, count: int
 ) -> None:
     scene = network_output()[0]
     number = max(scene.moving, key=lambda k: int((scene.labels == k).sum()))
     labels = (scene.labels == number).astype(np.int32)
     motion = scene.prev_T_curr[number] if right else geometry.make_transform(np.eye(3), [0.0, 0.0, -0.3])
     obj = ObjectMotion(1, int(labels.sum()), score, True, np.zeros(3), motion)
-    settings = PostprocessSettings(min_unexplained_share=share)
+    settings = PostprocessSettings(min_unexplained_share=share, tiny_share=tiny)
     out, found = STEPS["drop_uncertain"](FramePair(scene.prev, scene.curr), labels, (obj,), settings)
     assert len(found) == count
     np.testing.assert_array_equal(out, labels * count)

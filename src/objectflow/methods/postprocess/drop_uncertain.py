@@ -16,14 +16,15 @@ def drop_uncertain(
     """Remove objects of low probability that the frames do not support.
 
     Static objects are removed unless standing still does not explain them, since they may have moved although no
-    motion was found. Moving objects are removed if they are small and their motion does not explain them.
+    motion was found. Moving objects are removed if they are small and their motion does not explain them; tiny ones
+    must be more probable to stay.
 
     Args:
         pair: the frames, from a static camera.
         labels: (H, W) int32.
         objects: with the network's probability as their score.
-        settings: `min_static_score`, `min_unexplained_score`, `min_unexplained_share`, `unexplained_cost` and
-            `likelihood` apply.
+        settings: `min_static_score`, `min_unexplained_score`, `min_unexplained_share`, `min_tiny_score`,
+            `tiny_share`, `unexplained_cost` and `likelihood` apply.
 
     Returns:
         Labels and objects, numbered anew from 1.
@@ -36,7 +37,8 @@ def drop_uncertain(
 
 def _is_certain(likelihood: PairLikelihood, mask: BoolMask, obj: ObjectMotion, settings: PostprocessSettings) -> bool:
     """Whether an object is probable, or the frames support it; see `drop_uncertain`."""
-    if obj.score >= settings.min_static_score:
+    tiny = obj.moving and 0 < float(mask.mean()) < settings.tiny_share
+    if obj.score >= (settings.min_tiny_score if tiny else settings.min_static_score):
         return True
     if not mask.any():
         return False

@@ -286,6 +286,10 @@ class PostprocessSettings(Settings):
     """The same of a static object that standing still does not explain."""
     min_unexplained_share: float = setting(0.0013, minimum=0, maximum=1)
     """Minimum share of the image of a moving object of lower score that its motion does not explain."""
+    min_tiny_score: float = setting(0.5, minimum=0, maximum=1)
+    """Minimum score of a moving object below `tiny_share` that its motion does not explain."""
+    tiny_share: float = setting(0.001, minimum=0, maximum=1)
+    """Share of the image below which an object is tiny."""
     unexplained_cost: float = setting(1.5, minimum=0)
     """Mean cost from which a motion, or standing still, does not explain an object; that of a pixel that was hidden is
     1 or 2."""
