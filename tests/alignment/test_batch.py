@@ -43,8 +43,6 @@ def test_the_cost_of_many_motions_is_that_of_each(out_of_view: float) -> None:
         geometry.make_transform(np.eye(3), shift)
         for shift in ([0, 0, 0], [0.05, -0.025, 0], [0, 0, 0.02], [0, 0, -0.02], [0, 0, 0.3], [0, 0, -0.3], [2, 0, 0])
     ]
-    points = pair.curr.points.copy()
-    points[..., 2] = 1.0  # so that shifts along x and y are whole pixels for all
     rays = geometry.back_project(np.ones((60, 80), np.float32), CAMERA)
     frame = dataclasses.replace(pair.curr.frame, depth=np.ones((60, 80), np.float32))
     pair = FramePair(pair.prev, frame)

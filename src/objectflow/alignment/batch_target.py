@@ -12,7 +12,7 @@ from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
 
 class BatchTarget:
-    """The previous frame, one contiguous array a quantity: a gather from such arrays is several times as fast.
+    """The previous frame, one contiguous array per quantity, from which gathers are fast.
 
     Attributes:
         camera, noise: of the frame.

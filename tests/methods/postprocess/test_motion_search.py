@@ -182,6 +182,12 @@ def test_search_levels_need_equally_many_values() -> None:
     assert build(PostprocessSettings, two).motion_search.levels.kept == (96, 96)
 
 
+@pytest.mark.parametrize("name", ["judged.iterations", "last_iterations"])
+def test_registration_has_two_blurs(name: str) -> None:
+    with pytest.raises(SettingsError, match=rf"motion_search\.{name} takes at most 2 values, not 3"):
+        build(PostprocessSettings, {f"motion_search.{name}": "4,4,4"})
+
+
 def test_an_object_that_the_previous_frame_does_not_show_keeps_its_motion() -> None:
     scene = analytic.make_scene(63, objects=(1, 1), motion=(0.05, 0.1))
     (obj,) = true_objects(scene)

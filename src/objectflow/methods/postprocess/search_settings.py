@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from objectflow.alignment.matching import MatchSettings
+from objectflow.alignment.prepared_frame import GRAY_BLURS
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.errors import SettingsError
 from objectflow.settings import Settings, setting
@@ -95,6 +96,11 @@ class SearchLevelSettings(Settings):
             raise SettingsError(f"the settings of search levels need equally many values each, not {counts}")
 
 
+def _check_iterations(name: str, iterations: tuple[int, ...]) -> None:
+    if len(iterations) > len(GRAY_BLURS):
+        raise SettingsError(f"motion_search.{name} takes at most {len(GRAY_BLURS)} values, not {len(iterations)}")
+
+
 @dataclass(frozen=True)
 class JudgedSearchSettings(Settings):
     """The search by registration and by the likelihood proper, which ends the search."""
@@ -119,6 +125,10 @@ class JudgedSearchSettings(Settings):
     distinct_shift: float = setting(0.003, minimum=0)
     """Metres: see `distinct_angle_deg`."""
     registration: RegistrationSettings = RegistrationSettings()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_iterations("judged.iterations", self.iterations)
 
 
 @dataclass(frozen=True)
@@ -183,3 +193,7 @@ class MotionSearchSettings(Settings):
     judged: JudgedSearchSettings = JudgedSearchSettings()
     features: FeatureMotionSettings = FeatureMotionSettings()
     registration: RegistrationSettings = RegistrationSettings()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_iterations("last_iterations", self.last_iterations)
