@@ -125,6 +125,19 @@ def test_the_settings_decide_which_motion_is_accepted(settings: RefineSettings) 
     assert geometry.transform(found, center)[2] == pytest.approx(0.57, abs=0.002)
 
 
+@pytest.mark.parametrize(("metres", "tried"), [(0.005, 1), (0.3, 2)])
+def test_further_starts_are_tried_only_where_the_first_does_not_fit(metres: float, tried: int) -> None:
+    scene = analytic.make_scene(51, objects=(1, 1), depth_noise=0.0015)
+    (obj,) = true_objects(scene, all_moving=True)
+    pair = FramePair(scene.prev, scene.curr)
+    source = pair.sources.take(scene.labels == obj.id)
+    first = disturbed(obj, metres, 0.5, np.random.default_rng(3)).prev_T_curr
+    starts = iter([first, obj.prev_T_curr])
+    found = refine_one(pair.target, source, starts)
+    assert len(list(starts)) == 2 - tried
+    assert error(scene, dataclasses.replace(obj, prev_T_curr=found)) < 0.003
+
+
 def test_depth_cost_is_the_truncated_mean_square() -> None:
     """A wall at 1 m, measured again 2 mm behind for one half and far off for the other, against a sum over points."""
     wall = np.full((60, 80), 1.0, np.float32)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -33,6 +35,8 @@ class RefineSettings(Settings):
     """Minimum number of matches inside a mask for their fit to be a second initial motion."""
     trusted_fitness: float = setting(0.8, minimum=0, maximum=1)
     """Share of an object's points on the previous surface from which a motion is accepted wherever it started."""
+    sufficient_fitness: float = setting(0.9, minimum=0, maximum=1)
+    """The same share from which the motion registered first is kept and no other start is tried."""
     max_shift: float = setting(0.01, minimum=0)
     """Metres: a correction of the centre up to this, together with `max_rotation_deg`, is accepted at any fitness."""
     max_rotation_deg: float = setting(5.0, minimum=0)
@@ -77,13 +81,15 @@ def refine_objects(
     owner = labels[np.clip(row, 0, labels.shape[0] - 1), np.clip(column, 0, labels.shape[1] - 1)]
     target, sources = pair.target, pair.sources
 
-    def refined(obj: ObjectMotion) -> ObjectMotion:
-        source = sources.take(labels == obj.id, limit=settings.max_points)
-        initial = [obj.prev_T_curr]
+    def starts(obj: ObjectMotion) -> Iterator[Float64Array]:
+        yield obj.prev_T_curr
         own = matches[owner == obj.id]
         if len(own.curr) >= settings.min_matches:
-            initial.append(fitting.fit_matches(own, camera, noise=pair.noise, settings=settings.fit)[0])
-        motion = refine_one(target, source, initial, settings)
+            yield fitting.fit_matches(own, camera, noise=pair.noise, settings=settings.fit)[0]
+
+    def refined(obj: ObjectMotion) -> ObjectMotion:
+        source = sources.take(labels == obj.id, limit=settings.max_points)
+        motion = refine_one(target, source, starts(obj), settings)
         moving = displaces(motion, source.points, obj.center, settings.static_displacement)
         return dataclasses.replace(obj, prev_T_curr=motion, moving=moving)
 
@@ -93,18 +99,25 @@ def refine_objects(
 def refine_one(
     target: registration.RegistrationTarget,
     source: registration.RegistrationSource,
-    initial: list[Float64Array],
+    initial: Iterable[Float64Array],
     settings: RefineSettings = DEFAULTS,
 ) -> Float64Array:
-    """The motion with the least depth cost among the first initial motion and the registered ones."""
+    """The motion with the least depth cost among the first initial motion and the registered ones.
+
+    Later initial motions are computed and registered only while no motion fits sufficiently.
+    """
+    starts = iter(initial)
+    first = next(starts)
     if not len(source.points):
-        return initial[0]
-    found = [registration.refine(target, source, start, settings=settings.registration) for start in initial]
-    found = [
-        one for one in found if np.isfinite(one.prev_T_curr).all() and _is_plausible(one, source, initial[0], settings)
-    ]
-    unchanged = registration.evaluate_registration(target, source, initial[0], settings.registration)
-    candidates = [*found, unchanged]
+        return first
+    candidates = []
+    for start in chain([first], starts):
+        found = registration.refine(target, source, start, settings=settings.registration)
+        if np.isfinite(found.prev_T_curr).all() and _is_plausible(found, source, first, settings):
+            candidates.append(found)
+            if found.fitness * found.visible >= settings.sufficient_fitness:
+                break
+    candidates.append(registration.evaluate_registration(target, source, first, settings.registration))
     return min(candidates, key=lambda one: depth_cost(one, target, source, settings.cost_sigmas)).prev_T_curr
 
 

@@ -63,3 +63,24 @@ def test_objects_at_rest_and_without_explanation_keep_their_pixels() -> None:
     for number in (1, 2):
         assert iou(out == number, labels == number) > 0.9
     assert [obj.moving for obj in found] == [True, False]
+
+
+def test_thin_parts_are_not_cut_off() -> None:
+    """A handle has a short border where it leaves its object, so cutting it off is cheap."""
+    handle, handle_before = Card(1, 110, 58, 34, 3, 0.8), Card(1, 98, 58, 34, 3, 0.8)
+    prev, curr = draw(BEFORE, handle_before), draw(CARD, handle)
+    mask = CARD.mask | handle.mask
+    obj = object_of(1, mask, curr, CARD.motion(12))
+    out, _ = reassign_pixels(FramePair(prev, curr), mask.astype(np.int32), (obj,), DEFAULTS)
+    assert (out[handle.mask] > 0).mean() > 0.9
+    assert iou(out > 0, mask) > 0.95
+
+
+def test_an_object_does_not_lose_what_standing_still_explains_no_better() -> None:
+    """A part of a mask without support for its motion was hidden, or its motion is slightly wrong."""
+    prev, curr = draw(BEFORE), draw(CARD)
+    covered = Card(2, 48, 30, 50, 20, 0.5)
+    prev = draw(BEFORE, covered)
+    obj = object_of(1, CARD.mask, curr, CARD.motion(12))
+    out, _ = reassign_pixels(FramePair(prev, curr), CARD.mask.astype(np.int32), (obj,), DEFAULTS)
+    assert iou(out > 0, CARD.mask) > 0.95

@@ -127,6 +127,8 @@ def _by_features(
     """Better motions of objects, given with their masks and motions, that the search leaves unexplained."""
     features, out = settings.features, {}
     for number, (mask, motion) in objects.items():
+        if mask.sum() < features.min_pixels:
+            continue
         own, static = (
             float(likelihood.cost(one, mask, out_of_view=settings.cost_out_of_view).mean())
             for one in (motion, np.eye(4))

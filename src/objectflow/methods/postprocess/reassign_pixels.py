@@ -20,6 +20,9 @@ from objectflow.methods.postprocess.settings import PostprocessSettings, Reassig
 from objectflow.motion import ObjectMotion
 from objectflow.typing import BoolMask, Float32Array, LabelImage
 
+_NEARBY = (7, 7)
+"""Pixels, at the width of the likelihood, over which costs are averaged."""
+
 
 def reassign_pixels(
     pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
@@ -105,7 +108,7 @@ def _assigned(
     for number, (obj, mask) in enumerate(zip(movers, masks, strict=True), start=1):
         region = _touching(found == number, mask)
         cost = assignment.cost(obj.prev_T_curr, assignment.around(anchors[number - 1]))
-        out[region & ~_unexplained_growth(region & ~mask, cost, own)] = obj.id
+        out[_changed(mask, region, cost, assignment.background_cost, own)] = obj.id
     return out
 
 
@@ -119,16 +122,24 @@ def _growth_cost(assignment: Assignment, settings: PostprocessSettings) -> Float
     return np.asarray(own.growth + (own.textured_growth - own.growth) * evidence, dtype=np.float32)
 
 
-def _unexplained_growth(growth: BoolMask, cost: Float32Array, settings: ReassignSettings) -> BoolMask:
-    """(H, W) bool: the connected parts of a growth that the motion does not explain, such as a missed object.
+def _changed(
+    mask: BoolMask, region: BoolMask, moved: Float32Array, rested: Float32Array, settings: ReassignSettings
+) -> BoolMask:
+    """(H, W) bool: the assigned region where the costs of moving and of resting nearby support it, else the mask."""
+    growth, loss = region & ~mask, mask & ~region
+    move, rest = _nearby(moved, growth), _nearby(rested, growth)
+    growth &= (move < settings.max_growth_cost) & (move < rest)
+    move, rest = _nearby(moved, loss), _nearby(rested, loss)
+    unexplained = move > np.minimum(settings.min_loss_cost, rest + settings.min_loss_gain)
+    loss &= unexplained & (rest < settings.max_rest_cost)
+    return np.asarray((mask & ~loss) | growth)
 
-    Where standing still is impossible, any motion would win, however badly it fits.
-    """
-    numbers, count = ndimage.label(growth)
-    if not count:
-        return growth
-    means = ndimage.mean(cost, numbers, np.arange(count + 1))
-    return np.asarray(growth & (np.asarray(means)[numbers] >= settings.max_growth_cost))
+
+def _nearby(cost: Float32Array, region: BoolMask) -> Float32Array:
+    """(H, W) mean costs of the pixels of a region around each of its pixels."""
+    share = cv2.blur(region.astype(np.float32), _NEARBY)
+    total = cv2.blur(np.where(region, cost, np.float32(0)), _NEARBY)
+    return np.asarray(total / np.maximum(share, np.float32(1e-6)))
 
 
 def _touching(found: BoolMask, mask: BoolMask) -> BoolMask:

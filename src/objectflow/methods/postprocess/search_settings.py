@@ -135,6 +135,8 @@ class JudgedSearchSettings(Settings):
 class FeatureMotionSettings(Settings):
     """Motions by features of objects that the search leaves unexplained (`feature_motions`)."""
 
+    min_pixels: int = setting(500, minimum=3)
+    """Fewest pixels of such an object, at the width of the likelihood; smaller ones have hardly any features."""
     min_inliers: int = setting(8, minimum=3)
     """Fewest features of an object that agree on a motion."""
     trials: int = setting(250, minimum=1)

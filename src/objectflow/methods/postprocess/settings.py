@@ -118,6 +118,8 @@ class SplitSettings(Settings):
     """Largest mean cost of each part under its motion; motions that explain nothing are no evidence of two things."""
     max_loss: float = setting(0.4, minimum=0)
     """Largest mean cost that a part may lose by sharing another part's motion."""
+    max_trusted_cost: float = setting(0.4, minimum=0)
+    """Mean cost of a part under the whole's motion, or at rest, up to which it is not registered by itself."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,15 @@ class ReassignSettings(Settings):
     """The same where the surface has texture, and where standing still is impossible because the previous frame saw
     through the point."""
     max_growth_cost: float = setting(2.5, minimum=0)
-    """Largest mean cost of a motion in a region into which its object grows."""
+    """Largest mean cost of a motion where its object grows; it must also be lower than that of standing still. Where
+    standing still is impossible, any motion wins, however badly it fits."""
+    min_loss_cost: float = setting(1.0, minimum=0)
+    """Least mean cost of a motion where its object loses pixels. Thin parts have a short border, so cutting them off
+    is cheap although the motion explains them."""
+    min_loss_gain: float = setting(0.2, minimum=0)
+    """Mean cost that standing still spares there, which suffices as well."""
+    max_rest_cost: float = setting(2.2, minimum=0)
+    """Largest mean cost of standing still there; that of a pixel that was hidden is 2."""
     full_texture: float = setting(15.0, above=0)
     """Grey levels: mean local contrast from which a surface counts as textured."""
     other_object: float = setting(1.0, minimum=0)
