@@ -13,7 +13,7 @@ class LookWindowSettings(Settings):
 
     zoom: float = setting(2.0, above=1)
     """Width of the frame relative to that of a window."""
-    enlargement: float = setting(2.0, above=0)
+    enlargement: float = setting(1.5, above=0)
     """Size of things in the network's input relative to that in its first look at the whole frame."""
     max_windows: int = setting(2, minimum=0)
     """Maximum number of windows of a pair; 0 switches the second look off."""
