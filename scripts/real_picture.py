@@ -56,7 +56,7 @@ PAIRS = (
     Shown("robot", True, "a robot drives by"),
     Shown("cup_021_024", False, "RealSense: the mug is one object with the hand that holds it"),
     Shown("brain_420_435", False, "DepthSense: a toy that turns is found in pieces"),
-    Shown("maizena2f_c2_003_004", False, "Xtion, frames turned by a quarter: two false movers", quarters=1),
+    Shown("maizena2f_c2_003_004", False, "Xtion, frames turned by a quarter: the box is missed", quarters=1),
 )
 
 

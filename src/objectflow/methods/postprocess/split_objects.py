@@ -134,7 +134,10 @@ def _groups(
 def _best_motion(
     pair: FramePair, likelihood: PairLikelihood, first: Float64Array, part: BoolMask, settings: PostprocessSettings
 ) -> tuple[Float64Array, float]:
-    """The motion that explains a part best, among the whole's, the part's own and none; and its mean cost."""
+    """The motion that explains a part best, among the whole's, the part's own and none; and its mean cost.
+
+    A part that the whole's motion or standing still explains is not registered by itself.
+    """
     candidates = [first, np.eye(4)]
     costs = [_cost(likelihood, motion, part) for motion in candidates]
     if min(costs) > settings.split.max_trusted_cost:
