@@ -36,7 +36,7 @@ class RefineSettings(Settings):
     trusted_fitness: float = setting(0.8, minimum=0, maximum=1)
     """Share of an object's points on the previous surface from which a motion is accepted wherever it started."""
     sufficient_fitness: float = setting(0.9, minimum=0, maximum=1)
-    """The same share from which the motion registered first is kept and no other start is tried."""
+    """The same share from which a registered motion fits so well that no further start is tried."""
     max_shift: float = setting(0.01, minimum=0)
     """Metres: a correction of the centre up to this, together with `max_rotation_deg`, is accepted at any fitness."""
     max_rotation_deg: float = setting(5.0, minimum=0)
@@ -104,7 +104,8 @@ def refine_one(
 ) -> Float64Array:
     """The motion with the least depth cost among the first initial motion and the registered ones.
 
-    Later initial motions are computed and registered only while no motion fits sufficiently.
+    Registration stops at the first motion that fits sufficiently, so later initial motions may never be drawn from the
+    iterable.
     """
     starts = iter(initial)
     first = next(starts)

@@ -155,6 +155,7 @@ def refine(
             # Levenberg's damping, relative to the curvature of each axis; unconstrained directions stay unchanged.
             damping = 1e-4 * np.diag(H) + 1e-6 * np.trace(H) / 6 + 1e-9
             step = np.linalg.solve(H + np.diag(damping), -b)
+            # To first order the exponential of the twist, at a tenth of its time.
             T = geometry.make_transform(cv2.Rodrigues(step[3:])[0], step[:3]) @ T
             if np.abs(step).max() < settings.min_step:
                 break

@@ -20,9 +20,6 @@ from objectflow.methods.postprocess.settings import PostprocessSettings, Reassig
 from objectflow.motion import ObjectMotion
 from objectflow.typing import BoolMask, Float32Array, LabelImage
 
-_NEARBY = (7, 7)
-"""Pixels, at the width of the likelihood, over which costs are averaged."""
-
 
 def reassign_pixels(
     pair: FramePair, labels: LabelImage, objects: Objects, settings: PostprocessSettings
@@ -127,18 +124,19 @@ def _changed(
 ) -> BoolMask:
     """(H, W) bool: the assigned region where the costs of moving and of resting nearby support it, else the mask."""
     growth, loss = region & ~mask, mask & ~region
-    move, rest = _nearby(moved, growth), _nearby(rested, growth)
+    size = settings.evidence_px
+    move, rest = _nearby(moved, growth, size), _nearby(rested, growth, size)
     growth &= (move < settings.max_growth_cost) & (move < rest)
-    move, rest = _nearby(moved, loss), _nearby(rested, loss)
+    move, rest = _nearby(moved, loss, size), _nearby(rested, loss, size)
     unexplained = move > np.minimum(settings.min_loss_cost, rest + settings.min_loss_gain)
     loss &= unexplained & (rest < settings.max_rest_cost)
     return np.asarray((mask & ~loss) | growth)
 
 
-def _nearby(cost: Float32Array, region: BoolMask) -> Float32Array:
-    """(H, W) mean costs of the pixels of a region around each of its pixels."""
-    share = cv2.blur(region.astype(np.float32), _NEARBY)
-    total = cv2.blur(np.where(region, cost, np.float32(0)), _NEARBY)
+def _nearby(cost: Float32Array, region: BoolMask, size: int) -> Float32Array:
+    """(H, W) mean costs of a region's pixels within a square of `size` pixels around each pixel."""
+    share = cv2.blur(region.astype(np.float32), (size, size))
+    total = cv2.blur(np.where(region, cost, np.float32(0)), (size, size))
     return np.asarray(total / np.maximum(share, np.float32(1e-6)))
 
 

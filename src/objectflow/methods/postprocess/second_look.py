@@ -1,7 +1,7 @@
 """The network evaluated again on enlarged parts of the frames that its first result leaves unexplained.
 
 An object that covers only a few cells of the network's grid often has no query of its own. In a window of half the
-frame's width, it covers four times as many cells.
+frame's width, enlarged by half, it covers more than twice as many cells.
 """
 
 from __future__ import annotations

@@ -226,6 +226,8 @@ class ReassignSettings(Settings):
     textured_growth: float = setting(0.3, minimum=0)
     """The same where the surface has texture, and where standing still is impossible because the previous frame saw
     through the point."""
+    evidence_px: int = setting(7, minimum=1)
+    """Pixels, at the width of the likelihood: side of the squares over which costs are averaged."""
     max_growth_cost: float = setting(2.5, minimum=0)
     """Largest mean cost of a motion where its object grows; it must also be lower than that of standing still. Where
     standing still is impossible, any motion wins, however badly it fits."""
