@@ -28,6 +28,8 @@ from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.geometry.symmetry import SymmetryAxis
 from objectflow.methods.base import Estimator
 from objectflow.motion import SceneMotion
+from objectflow.tracking.arrivals import ArrivalSettings
+from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.reconstruction import SequenceView
 from objectflow.tracking.sequence_estimator import SequenceEstimator
 from objectflow.tracking.track import Track
@@ -60,6 +62,8 @@ class Settings:
     """Standard deviation of depth, in those of a structured-light camera; 0 for exact depth."""
     skip_explained: bool = False
     """Estimate no pair that the known objects explain, as `objectflow live` does."""
+    sure_only: bool = False
+    """Begin tracks with sure motions only, not where an object whose motion is unsure is certainly new."""
     meshes: Path | None = None
     """Folder for the meshes; None to write none."""
 
@@ -95,9 +99,10 @@ def main(settings: Settings) -> None:
     for number, frames in enumerate(sequences):
         images = [noisy(row.image, settings.noise, number) for row in frames]
         skip = settings.skip_explained
+        known = KnownSettings(arrival=ArrivalSettings(min_pixels=10**9)) if settings.sure_only else None
         for method, estimator in (estimators | {ORACLE: None}).items():
             folder = None if settings.meshes is None else settings.meshes / method / frames[0].sequence
-            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder, skip)
+            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder, skip, known)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
     tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
@@ -130,6 +135,7 @@ def add_sequence(
     estimate_between: Callable[[int, int], SceneMotion],
     folder: Path | None,
     skip_explained: bool,
+    known_settings: KnownSettings | None = None,
 ) -> None:
     """Follow one sequence, model its objects, and compare both with the ground truth."""
     numbers = {id(image): number for number, image in enumerate(images)}
@@ -141,7 +147,7 @@ def add_sequence(
             score.estimating += time.process_time() - began
         return found
 
-    sequence = SequenceEstimator(estimate, skip_explained=skip_explained)
+    sequence = SequenceEstimator(estimate, settings=known_settings, skip_explained=skip_explained)
     last: dict[int, int] = {}
     starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}
@@ -172,8 +178,11 @@ def add_sequence(
             if track_id is not None:
                 owners.setdefault(track_id, Counter())[obj.label] += 1
                 if (obj.label, track_id) not in starts:
-                    # The track's frame is that of the object up to a rigid transform, which the first step fixes.
-                    start = geometry.inverse(tracks[track_id].world_T_object[-2]) @ camera_pose(prev) @ obj.prev_pose
+                    # The track's frame is that of the object up to a rigid transform, which its first pose fixes. A
+                    # track that begins with an unsure motion has no pose in the previous frame.
+                    earlier, *others = tracks[track_id].world_T_object[-2:]
+                    true_pose = camera_pose(prev) @ obj.prev_pose if others else camera_pose(curr) @ obj.curr_pose
+                    start = geometry.inverse(earlier) @ true_pose
                     starts[obj.label, track_id] = number, start
         before = {obj.label: camera_pose(prev) @ obj.pose for obj in prev.objects}
         for true in curr.objects:

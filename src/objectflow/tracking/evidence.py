@@ -25,6 +25,10 @@ class Evidence(Protocol):
         """Whether the frame shows that a step, with the same arguments, is not that of the track."""
         ...
 
+    def arrives(self, obj: ObjectMotion) -> bool:
+        """Whether the frames show that an object of low score was not where it is now, so that it moved somehow."""
+        ...
+
     def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
         """The track that an object without an association is, and its pose `camera_T_object` (4, 4) in the frame.
 

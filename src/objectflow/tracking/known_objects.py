@@ -51,19 +51,16 @@ class KnownObjects:
         """
         return FrameView(frame, self.settings, noise)
 
-    def evidence(
-        self, view: FrameView, labels: LabelImage, prev_T_curr: Float64Array, tracker: Tracker
-    ) -> ModelEvidence:
+    def evidence(self, views: PairViews, labels: LabelImage, tracker: Tracker) -> ModelEvidence:
         """The models as evidence for the association of a pair's objects.
 
         Args:
-            view: the current frame.
+            views: the pair.
             labels: (H, W) int32 of the estimate.
-            prev_T_curr: (4, 4) motion of the static background.
             tracker: before the pair.
         """
         prev_T_world = geometry.inverse(tracker.world_T_camera[-1]) if tracker.world_T_camera else None
-        return ModelEvidence(self.objects, view, labels, prev_T_curr, prev_T_world, self.settings)
+        return ModelEvidence(self.objects, views, labels, prev_T_world, self.settings)
 
     def follow(
         self,

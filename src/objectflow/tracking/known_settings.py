@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from objectflow.alignment.measured_noise import MeasuredNoiseSettings
 from objectflow.alignment.registration import RegistrationSettings
 from objectflow.settings import Settings, setting
+from objectflow.tracking.arrivals import ArrivalSettings
 from objectflow.tracking.earlier_settings import EarlierSettings
 from objectflow.tracking.follow_settings import FollowSettings
 from objectflow.tracking.longer_gap_settings import LongerGapSettings
@@ -64,6 +65,8 @@ class KnownSettings(Settings):
     """Which changes since an older frame standing still and the known objects do not explain."""
     explained: UnexplainedChangeSettings = UnexplainedChangeSettings(min_share=0.0002, rim=1)
     """The same since the previous frame, where pairs that they explain are not estimated."""
+    arrival: ArrivalSettings = ArrivalSettings()
+    """When an object whose motion is unsure becomes known."""
     merge: MergeSettings = MergeSettings()
     """When two known objects are pieces of one."""
     max_correction: float = setting(0.02, minimum=0)

@@ -10,10 +10,11 @@ import numpy as np
 from objectflow import geometry
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import ObjectMotion
+from objectflow.tracking.arrivals import Arrivals
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.model_fit import FrameView
-from objectflow.tracking.model_motion import best_pose
+from objectflow.tracking.model_motion import PairViews, best_pose
 from objectflow.typing import BoolMask, Float64Array, LabelImage
 
 
@@ -23,9 +24,8 @@ class ModelEvidence:
     def __init__(
         self,
         objects: Mapping[int, KnownObject],
-        view: FrameView,
+        views: PairViews,
         labels: LabelImage,
-        prev_T_curr: Float64Array,
         prev_T_world: Float64Array | None,
         settings: KnownSettings,
     ) -> None:
@@ -33,15 +33,15 @@ class ModelEvidence:
 
         Args:
             objects: by the id of the track, before this pair.
-            view: the current frame.
+            views: the pair.
             labels: (H, W) int32 of the estimate.
-            prev_T_curr: (4, 4) motion of the static background.
             prev_T_world: (4, 4) the previous camera; None for the first frame of a world.
             settings: thresholds.
         """
-        self._objects, self._view, self._settings = objects, view, settings
+        self._objects, self._view, self._settings = objects, views.curr, settings
         self._labels = labels
-        self._curr_T_world = None if prev_T_world is None else geometry.inverse(prev_T_curr) @ prev_T_world
+        self._arrivals = Arrivals(views.pair, views.prev_T_curr, views.curr.noise, settings.arrival)
+        self._curr_T_world = None if prev_T_world is None else geometry.inverse(views.prev_T_curr) @ prev_T_world
 
     def confirms(self, number: int, before: Float64Array, after: Float64Array) -> bool:
         """See `Evidence.confirms`."""
@@ -62,6 +62,10 @@ class ModelEvidence:
         if fit.fits.sum() < settings.min_points or fit.visible < settings.min_visible:
             return False
         return fit.present >= settings.refused_rest and self._view.is_better(known.model, after, before)
+
+    def arrives(self, obj: ObjectMotion) -> bool:
+        """See `Evidence.arrives`."""
+        return self._arrivals.contains(self._labels, obj.id)
 
     def recognises(self, obj: ObjectMotion, candidates: Sequence[int]) -> tuple[int, Float64Array] | None:
         """See `Evidence.recognises`."""

@@ -179,7 +179,8 @@ class SequenceEstimator:
             found = replace(unknown, method=found.method, seconds=found.seconds, settings=found.settings, notes=(CUT,))
         view = self.known_objects.view(pair.curr, self.noise.add(pair, found))
         static = np.eye(4) if found.camera_motion is None else found.camera_motion
-        evidence = self.known_objects.evidence(view, found.labels, static, self.tracker)
+        views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
+        evidence = self.known_objects.evidence(views, found.labels, self.tracker)
         tracks = self.tracker.update(
             prev_time,
             frame,
@@ -187,7 +188,6 @@ class SequenceEstimator:
             found,
             evidence,
         )
-        views = PairViews(pair, self.known_objects.view(pair.prev, view.noise), view, static, self.segmentation)
         followed = self.known_objects.follow(views, found, tracks, self.tracker, prev_time, time)
         known = self.known_objects.update(view, found, tracks, self.tracker, frame.depth.shape, followed)
         back = self._look_back(views, found, known, time, longer, {*tracks.values(), *followed})

@@ -31,7 +31,8 @@ class Track:
         labels: the object's id in the result of each time; 0 where the pose is that of a pair's previous frame, and
             where only the model shows the step.
         scores: of each pose.
-        gaps: times at which the object was seen to move, but with a score too low for a pose.
+        gaps: times at which the object was seen to move, but with a score too low for a pose. A track that begins with
+            one has its first pose then: where the object came from is not known.
         model: the accumulated surface in the object frame, which a `SequenceEstimator` fuses; otherwise None.
         world_T_camera: (4, 4) the camera in the latest frame of the track's world.
         merged: ids of tracks that ended because their objects are pieces of this one.

@@ -6,33 +6,21 @@ is carried back by its motion and associated with the track whose last surface o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
 from functools import partial
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from objectflow import geometry
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
-from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.tracking.association import LastState, associate
 from objectflow.tracking.evidence import Evidence
-from objectflow.tracking.seen_surface import SeenSurface, color_histogram, footprint_overlap, seen_surface
+from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
 from objectflow.tracking.track import Track, next_camera_pose
 from objectflow.tracking.tracker_settings import TrackerSettings
 from objectflow.typing import Float64Array, UInt8Array
-
-
-@dataclass(eq=False)
-class _LastState:
-    """Last observation of a track: surface points in the world frame, colours, last motion, and its age in pairs."""
-
-    points: Float64Array
-    colors: Float64Array
-    world_step: Float64Array
-    age: int = 0
 
 
 class Tracker:
@@ -47,7 +35,7 @@ class Tracker:
         self._next = 1
         self.camera_times: list[float] = []
         self.world_T_camera: list[Float64Array] = []
-        self._states: dict[int, _LastState] = {}
+        self._states: dict[int, LastState] = {}
         self._first_of_world = 1
 
     @property
@@ -106,36 +94,48 @@ class Tracker:
         surfaces = [seen_surface(curr, motion.labels == o.id, self.settings.max_points) for o in objects]
         known = [(o, s) for o, s in zip(objects, surfaces, strict=True) if len(s.points)]
         refused = None if evidence is None else partial(self._is_refused, world_T_prev, world_T_curr, evidence)
-        links = self._link([o for o, _ in known], [s for _, s in known], curr.camera, world_T_prev, refused)
+        prev_T_world = geometry.inverse(world_T_prev)
+        links = associate(known, self._states, curr.camera, prev_T_world, refused, self.settings)
         found: dict[int, int] = {}
-        # Pieces of an object are recognised once the object has its new pose.
-        for (obj, surface), number in sorted(zip(known, links, strict=True), key=lambda link: link[1] is None):
+        # Pieces of an object are recognised once the object has its new pose, and sure motions come first.
+        order = sorted(
+            zip(known, links, strict=True), key=lambda link: (link[1] is None, not self._is_sure(link[0][0]))
+        )
+        for (obj, surface), number in order:
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
-            if obj.score < self.settings.min_score:
-                if number is None:
-                    continue
+            # A motion that is not sure does not tell where the object was, but the frames may show that it moved.
+            arrived = number is None and not self._is_sure(obj)
+            if arrived and (evidence is None or not evidence.arrives(obj)):
+                continue
+            if number is not None and not self._is_sure(obj):
                 before, after = self._poses(number, obj, world_T_prev, world_T_curr)
                 if evidence is None or not evidence.confirms(number, before, after):
                     self._tracks[number].gaps.append(time)
                     continue
             again = None
             if number is None and evidence is not None:
-                whole = evidence.contains(obj, self._steps(found.values(), world_T_prev, world_T_curr))
+                steps = {} if arrived else self._steps(found.values(), world_T_prev, world_T_curr)
+                whole = evidence.contains(obj, steps)
                 if whole is not None:
                     self._add_piece(whole, geometry.transform(world_T_curr, surface.points))
                     found[obj.id] = whole
                     continue
                 again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
-            track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
-            pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
+            if arrived and again is None:
+                track, world_step = self._new_track(), np.eye(4)
+                track.gaps.append(time)
+                pose = geometry.make_transform(np.eye(3), geometry.transform(world_T_curr, obj.center))
+            else:
+                track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
+                pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
             track.world_T_object.append(pose)
             track.times.append(time)
             track.labels.append(obj.id)
             track.scores.append(obj.score)
             track.world_T_camera = world_T_curr
             points = geometry.transform(world_T_curr, surface.points)
-            self._states[track.id] = _LastState(points, surface.colors, world_step)
+            self._states[track.id] = LastState(points, surface.colors, world_step)
             found[obj.id] = track.id
         self._age(set(found.values()))
         self._trim()
@@ -169,7 +169,7 @@ class Tracker:
         track.scores.append(score)
         track.gaps = [gap for gap in track.gaps if gap != time]
         points = geometry.transform(step, state.points)
-        self._states[number] = _LastState(points, state.colors, step)
+        self._states[number] = LastState(points, state.colors, step)
         self._trim()
 
     def split(self, number: int, points: Float64Array, colors: Float64Array) -> Track:
@@ -206,14 +206,12 @@ class Tracker:
             points: (N, 3) metres in the world: its surface at the last time.
             colors: (N, 3) its colours, RGB, 0..255.
         """
-        track = Track(self._next, list(times), list(world_T_object), [0] * len(times), list(scores))
+        track = self._new_track(times, world_T_object, scores)
         track.world_T_camera = self.world_T_camera[-1]
-        self._tracks[track.id] = track
-        self._next += 1
         pick = np.linspace(0, len(points) - 1, min(len(points), self.settings.max_points)).astype(int)
         histogram = color_histogram(np.clip(np.rint(colors), 0, 255).astype(np.uint8))
         step = world_T_object[-1] @ geometry.inverse(world_T_object[-2]) if len(times) > 1 else np.eye(4)
-        self._states[track.id] = _LastState(points[pick], histogram, step)
+        self._states[track.id] = LastState(points[pick], histogram, step)
         return track
 
     def merge(self, number: int, into: int) -> None:
@@ -306,6 +304,10 @@ class Tracker:
         both = np.concatenate([state.points, points])
         state.points = both[np.linspace(0, len(both) - 1, min(len(both), self.settings.max_points)).astype(int)]
 
+    def _is_sure(self, obj: ObjectMotion) -> bool:
+        """Whether the motion of an object is certain enough for a pose."""
+        return obj.score >= self.settings.min_score
+
     def _is_refused(
         self,
         world_T_prev: Float64Array,
@@ -315,50 +317,9 @@ class Tracker:
         obj: ObjectMotion,
     ) -> bool:
         """Whether the current frame shows that an object is not that of a track."""
-        if obj.score < self.settings.min_score:
+        if not self._is_sure(obj):
             return False  # such a motion needs to be confirmed anyway
         return evidence.refuses(number, *self._poses(number, obj, world_T_prev, world_T_curr))
-
-    def _link(
-        self,
-        objects: list[ObjectMotion],
-        surfaces: list[SeenSurface],
-        camera: Camera,
-        world_T_prev: Float64Array,
-        refused: Callable[[int, ObjectMotion], bool] | None,
-    ) -> list[int | None]:
-        """Track id of each object, None for a new object: the assignment of largest overlap (Hungarian method)."""
-        ids = list(self._states)
-        overlap = np.zeros((len(objects), len(ids)))
-        prev_surfaces = [geometry.transform(o.prev_T_curr, s.points) for o, s in zip(objects, surfaces, strict=True)]
-        prev_T_world = geometry.inverse(world_T_prev)
-        for column, track_id in enumerate(ids):
-            state = self._states[track_id]
-            hypotheses = [state.points]
-            if 0 < state.age <= self.settings.coast:
-                # The object may have continued its motion while it was hidden.
-                step = np.linalg.matrix_power(state.world_step, state.age)
-                hypotheses.append(geometry.transform(step, state.points))
-            for world_points in hypotheses:
-                expected = geometry.transform(prev_T_world, world_points)
-                for row, points in enumerate(prev_surfaces):
-                    similarity = float(np.sqrt(surfaces[row].colors * state.colors).sum())
-                    if similarity < self.settings.min_color_similarity:
-                        continue
-                    if abs(np.median(points[:, 2]) - np.median(expected[:, 2])) < self.settings.max_gap:
-                        shared = footprint_overlap(points, expected, camera, self.settings.footprint_cells)
-                        overlap[row, column] = max(overlap[row, column], shared)
-        if refused is not None:
-            for row, column in np.argwhere(overlap >= self.settings.min_overlap).tolist():
-                if refused(ids[column], objects[row]):
-                    overlap[row, column] = 0
-        # Certain motions come first: a guess does not take a track from them.
-        weight = np.array([1.0 if obj.score >= self.settings.min_score else 0.1 for obj in objects]).reshape(-1, 1)
-        links: list[int | None] = [None] * len(objects)
-        for i, j in zip(*linear_sum_assignment(weight * overlap, maximize=True), strict=True):
-            if overlap[i, j] >= self.settings.min_overlap:
-                links[i] = ids[j]
-        return links
 
     def _track(
         self,
@@ -372,10 +333,18 @@ class Tracker:
             track = self._tracks[track_id]
             track.rest_until(prev_time)
             return track
-        start = np.eye(4)
-        start[:3, 3] = geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center)
-        track = Track(self._next, [prev_time], [start], [0], [obj.score])
-        self._tracks[self._next] = track
+        start = geometry.make_transform(np.eye(3), geometry.transform(world_T_prev @ obj.prev_T_curr, obj.center))
+        return self._new_track([prev_time], [start], [obj.score])
+
+    def _new_track(
+        self,
+        times: Sequence[float] = (),
+        world_T_object: Sequence[Float64Array] = (),
+        scores: Sequence[float] = (),
+    ) -> Track:
+        """A track with these poses, of which no pair has a label."""
+        track = Track(self._next, list(times), list(world_T_object), [0] * len(times), list(scores))
+        self._tracks[track.id] = track
         self._next += 1
         return track
 
