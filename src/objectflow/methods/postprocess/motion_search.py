@@ -133,7 +133,7 @@ def _by_features(
             float(likelihood.cost(one, mask, out_of_view=settings.cost_out_of_view).mean())
             for one in (motion, np.eye(4))
         )
-        if own <= settings.max_trusted_cost:
+        if own <= max(features.min_cost, settings.max_trusted_cost):
             continue
         found = feature_motion(match_features(pair, features), pair, likelihood, mask, features)
         if found is None:
