@@ -122,8 +122,10 @@ class Tracker:
                     found[obj.id] = whole
                     continue
                 again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
+            if arrived:
+                world_step = np.eye(4)  # the unsure motion must not predict the next pose
             if arrived and again is None:
-                track, world_step = self._new_track(), np.eye(4)
+                track = self._new_track()
                 track.gaps.append(time)
                 pose = geometry.make_transform(np.eye(3), geometry.transform(world_T_curr, obj.center))
             else:

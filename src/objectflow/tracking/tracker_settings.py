@@ -16,7 +16,8 @@ class TrackerSettings(Settings):
     max_gap: float = setting(0.1, minimum=0)
     """Metres: largest difference of two surfaces' median depths."""
     min_score: float = setting(0.3, minimum=0, maximum=1)
-    """Objects with a lower score, such as regions that no motion explains, get no track."""
+    """Objects with a lower score, such as regions that no motion explains, get no track, unless depth shows that they
+    were not there before (`KnownSettings.arrival`)."""
     min_color_similarity: float = setting(0.35, minimum=0, maximum=1)
     """Minimum Bhattacharyya coefficient of two surfaces' colours: a neighbour does not take over the id of an object
     that left."""
