@@ -12,6 +12,8 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.tracking import SequenceStep
+from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, LabelImage
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -77,9 +79,27 @@ def play(
     places: list[dict[int, Place]], error: Place = (0, 0, 0), noise: float = 0.0
 ) -> tuple[PlateScene, SequenceEstimator, list[SequenceStep]]:
     """Feed frames of the plates at these places; `error` of each motion and `noise` of depth in metres."""
+    return play_changed(places, lambda number, motion: motion, error=error, noise=noise)
+
+
+def play_changed(
+    places: list[dict[int, Place]],
+    change: Callable[[int, SceneMotion], SceneMotion],
+    *,
+    error: Place = (0, 0, 0),
+    noise: float = 0.0,
+    tracker: Tracker | None = None,
+    settings: KnownSettings | None = None,
+) -> tuple[PlateScene, SequenceEstimator, list[SequenceStep]]:
+    """Like `play`, with the motion into each frame as `change` makes it of the frame's number and the true motion."""
     scene = PlateScene()
     frames = [scene.frame(number, here, noise) for number, here in enumerate(places)]
-    sequence = SequenceEstimator(lambda prev, curr: scene.motion(round(curr.timestamp or 0), error))
+
+    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
+        number = round(curr.timestamp or 0)
+        return change(number, scene.motion(number, error))
+
+    sequence = SequenceEstimator(estimate, tracker=tracker, settings=settings)
     steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
     return scene, sequence, steps
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.plate_scenes import CAMERA, Place, PlateScene, iou
+from helpers.plate_scenes import CAMERA, Place, PlateScene, iou, play_changed
 from objectflow import SequenceEstimator
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.errors import SettingsError
-from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.motion import SceneMotion
 from objectflow.tracking import SequenceStep
@@ -72,21 +71,15 @@ def played(
     places: list[dict[int, Place]], unsure: int, settings: KnownSettings | None = None
 ) -> tuple[PlateScene, SequenceEstimator, list[SequenceStep]]:
     """A sequence in which the method has no idea of the motion into frame `unsure`: a wrong one, and a low score."""
-    scene = PlateScene()
-    frames = [scene.frame(number, here) for number, here in enumerate(places)]
 
-    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        number = round(curr.timestamp or 0)
-        found = scene.motion(number)
+    def change(number: int, found: SceneMotion) -> SceneMotion:
         if number != unsure:
             return found
         wrong = np.eye(4)
         wrong[:3, 3] = 0.3, -0.2, 0.1
-        objects = tuple(replace(obj, score=0.05, prev_T_curr=wrong) for obj in found.objects)
-        return replace(found, objects=objects)
+        return replace(found, objects=tuple(replace(obj, score=0.05, prev_T_curr=wrong) for obj in found.objects))
 
-    sequence = SequenceEstimator(estimate, settings=settings)
-    return scene, sequence, [step for frame in frames if (step := sequence.update(frame)) is not None]
+    return play_changed(places, change, settings=settings)
 
 
 def test_a_track_begins_where_an_object_arrived_by_an_unknown_motion() -> None:

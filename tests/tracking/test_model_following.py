@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.plate_scenes import Place, PlateScene, iou
+from helpers.plate_scenes import Place, PlateScene, iou, play_changed
 from objectflow import SequenceEstimator
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
@@ -29,17 +29,11 @@ def play(
     places: list[dict[int, Place]], missed: set[int], tracker: Tracker | None = None
 ) -> tuple[PlateScene, SequenceEstimator, list[SequenceStep]]:
     """Feed frames of the plates at these places to a method that finds no object in the missed frames."""
-    scene = PlateScene()
-    frames = [scene.frame(number, here) for number, here in enumerate(places)]
 
-    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        number = round(curr.timestamp or 0)
-        found = scene.motion(number)
+    def change(number: int, found: SceneMotion) -> SceneMotion:
         return SceneMotion(np.zeros_like(found.labels), found.scene_flow) if number in missed else found
 
-    sequence = SequenceEstimator(estimate, tracker=tracker)
-    steps = [step for frame in frames if (step := sequence.update(frame)) is not None]
-    return scene, sequence, steps
+    return play_changed(places, change, tracker=tracker)
 
 
 def test_steps_that_the_method_misses_are_followed_by_the_model() -> None:

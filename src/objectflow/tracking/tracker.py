@@ -115,8 +115,9 @@ class Tracker:
                     continue
             again = None
             if number is None and evidence is not None:
-                steps = {} if arrived else self._steps(found.values(), world_T_prev, world_T_curr)
-                whole = evidence.contains(obj, steps)
+                # Whether an object moved with a known one takes a sure motion.
+                steps = self._steps(found.values(), world_T_prev, world_T_curr)
+                whole = None if arrived else evidence.contains(obj, steps)
                 if whole is not None:
                     self._add_piece(whole, geometry.transform(world_T_curr, surface.points))
                     found[obj.id] = whole

@@ -138,8 +138,8 @@ class FeatureMotionSettings(Settings):
     min_pixels: int = setting(500, minimum=3)
     """Fewest pixels of such an object, at the width of the likelihood; smaller ones have hardly any features."""
     min_cost: float = setting(1.5, minimum=0)
-    """Mean cost of the motion from the search, from which features are tried. Detecting them takes as long as the rest
-    of the search, and they hardly ever improve a motion that explains part of the object."""
+    """Mean cost of the motion from the search, from which features are tried. Detecting them takes nearly as long as
+    the rest of the search, and they hardly ever improve a motion that explains part of the object."""
     min_inliers: int = setting(8, minimum=3)
     """Fewest features of an object that agree on a motion."""
     trials: int = setting(250, minimum=1)
