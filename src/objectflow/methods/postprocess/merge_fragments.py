@@ -40,9 +40,10 @@ def merge_fragments(
     small_labels = likelihood.downscale(labels)
     left = {obj.id: obj for obj in objects}
     renamed = np.arange(1 + max(left, default=0), dtype=np.int32)
+    samples: dict[int, Float64Array] = {}
     for number in sorted((obj.id for obj in objects if obj.moving), key=lambda number: left[number].pixels):
         small = left[number]
-        found = _partner(likelihood, small_labels, small, left, settings.merge)
+        found = _partner(likelihood, small_labels, small, left, samples, settings.merge)
         if found is None:
             continue
         large, motion = found
@@ -53,6 +54,7 @@ def merge_fragments(
             prev_T_curr=motion,
         )
         del left[small.id]
+        samples.pop(large.id, None)
         renamed[renamed == small.id] = large.id
         small_labels = np.where(small_labels == small.id, np.int32(large.id), small_labels)
     if len(left) == len(objects):
@@ -65,9 +67,13 @@ def _partner(
     labels: LabelImage,
     small: ObjectMotion,
     objects: dict[int, ObjectMotion],
+    samples: dict[int, Float64Array],
     settings: MergeSettings,
 ) -> tuple[ObjectMotion, Float64Array] | None:
-    """The object into which an object is merged, and the motion of both; None for none."""
+    """The object into which an object is merged, and the motion of both; None for none.
+
+    `samples` keeps points of the objects by their numbers.
+    """
     mask = likelihood.mask(labels, small.id)
     if not mask.any():
         return None
@@ -79,8 +85,13 @@ def _partner(
             continue
         theirs = likelihood.mask(labels, number)
         joined = contact.get(number, 0.0) >= settings.min_contact
-        if not theirs.any() or not (joined or _near(likelihood, mask, theirs, settings)):
+        if not theirs.any():
             continue
+        if not joined:
+            points = _sample(likelihood, mask, small.id, samples, settings)
+            others = _sample(likelihood, theirs, number, samples, settings)
+            if not _near(points, others, settings.max_gap_ratio):
+                continue
         agree = _agree(likelihood, small, other, mask | theirs, settings)
         limit = best if joined or agree else min(best, settings.max_apart_loss)
         max_cost = settings.max_cost * (settings.agreement_factor if agree and joined else 1.0)
@@ -98,13 +109,28 @@ def _partner(
     return out
 
 
-def _near(likelihood: PairLikelihood, one: BoolMask, other: BoolMask, settings: MergeSettings) -> bool:
-    """Whether the gap between two masks is small beside the objects: another object may hide what joins them."""
-    points, others = (likelihood.points[mask].astype(np.float64) for mask in (one, other))
-    points, others = (some[:: 1 + len(some) // settings.max_points] for some in (points, others))
-    size = float(np.linalg.norm(np.ptp(others, axis=0)))
-    gap = float(np.min(cKDTree(others).query(points)[0]))
-    return gap < settings.max_gap_ratio * size
+def _sample(
+    likelihood: PairLikelihood,
+    mask: BoolMask,
+    number: int,
+    samples: dict[int, Float64Array],
+    settings: MergeSettings,
+) -> Float64Array:
+    """At most about `max_points` points of an object, kept in `samples`."""
+    if number not in samples:
+        points = likelihood.points[mask]
+        samples[number] = points[:: 1 + len(points) // settings.max_points].astype(np.float64)
+    return samples[number]
+
+
+def _near(points: Float64Array, others: Float64Array, max_gap_ratio: float) -> bool:
+    """Whether the gap between two objects is small beside the second: another object may hide what joins them."""
+    limit = max_gap_ratio * float(np.linalg.norm(np.ptp(others, axis=0)))
+    # Bounding boxes are never farther apart than the points in them.
+    apart = np.maximum(points.min(axis=0) - others.max(axis=0), others.min(axis=0) - points.max(axis=0))
+    if np.linalg.norm(np.maximum(apart, 0)) >= limit:
+        return False
+    return bool(np.min(cKDTree(others).query(points, distance_upper_bound=limit)[0]) < limit)
 
 
 def _agree(

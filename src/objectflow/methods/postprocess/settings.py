@@ -119,7 +119,8 @@ class SplitSettings(Settings):
     max_loss: float = setting(0.4, minimum=0)
     """Largest mean cost that a part may lose by sharing another part's motion."""
     max_trusted_cost: float = setting(0.4, minimum=0)
-    """Mean cost of a part under the whole's motion, or at rest, up to which it is not registered by itself."""
+    """Mean cost of a part under the whole's motion, or at rest, up to which it is not registered by itself; also under
+    a registered motion, up to which it is registered from no further start."""
 
 
 @dataclass(frozen=True)

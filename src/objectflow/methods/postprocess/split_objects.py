@@ -7,7 +7,7 @@ not. One motion then explains only one of them, or neither.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -136,31 +136,33 @@ def _best_motion(
 ) -> tuple[Float64Array, float]:
     """The motion that explains a part best, among the whole's, the part's own and none; and its mean cost.
 
-    A part that the whole's motion or standing still explains is not registered by itself.
+    A part that the whole's motion or standing still explains is not registered by itself, and a part that a
+    registered motion explains is not registered from further starts.
     """
     candidates = [first, np.eye(4)]
     costs = [_cost(likelihood, motion, part) for motion in candidates]
-    if min(costs) > settings.split.max_trusted_cost:
-        registered = _registered(pair, part, candidates, settings)
-        candidates += registered
-        costs += [_cost(likelihood, motion, part) for motion in registered]
+    registered = _registered(pair, part, tuple(candidates), settings)
+    while min(costs) > settings.split.max_trusted_cost and (motion := next(registered, None)) is not None:
+        candidates.append(motion)
+        costs.append(_cost(likelihood, motion, part))
     best = int(np.argmin(costs))
     return candidates[best], costs[best]
 
 
 def _registered(
     pair: FramePair, part: BoolMask, starts: Sequence[Float64Array], settings: PostprocessSettings
-) -> list[Float64Array]:
+) -> Iterator[Float64Array]:
     """The motions of a part that registration finds from each start and from the fit to its matches."""
     wide = pair.at_width(settings.refine.width)
     frame = wide.curr.frame
     rows, columns = nearest_indices(part.shape, frame.depth.shape)
     source = wide.sources.take(part[rows[:, None], columns], limit=settings.split.max_points)
-    initial = list(starts)
+    for start in starts:
+        yield refine_one(wide.target, source, [start], settings.refine)
     matches = wide.matches[inside(part, wide.matches, frame.camera)]
     if len(matches.curr) >= settings.refine.min_matches:
-        initial.append(fitting.fit_matches(matches, frame.camera, noise=wide.noise, settings=settings.refine.fit)[0])
-    return [refine_one(wide.target, source, [one], settings.refine) for one in initial]
+        start = fitting.fit_matches(matches, frame.camera, noise=wide.noise, settings=settings.refine.fit)[0]
+        yield refine_one(wide.target, source, [start], settings.refine)
 
 
 def _cost(likelihood: PairLikelihood, motion: Float64Array, mask: BoolMask) -> float:

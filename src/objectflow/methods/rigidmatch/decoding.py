@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,7 +15,7 @@ from objectflow.methods.labels import relabel_present, rigid_flow
 from objectflow.methods.rigidmatch.duplicates import merge_duplicates
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.networks.rigidmatch.inputs import clean_points, grid
-from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, pixel_masks
+from objectflow.networks.rigidmatch.outputs import RigidMatchOutput, between_cells, upsampled_masks
 from objectflow.typing import Float32Array, LabelImage
 
 OBJECT_MASK_THRESHOLD = 0.05
@@ -98,18 +100,26 @@ def decode(
     kept = torch.nonzero(probability > min(threshold, QUERY_THRESHOLD))[:, 0]
     if not len(kept):
         return np.zeros(size, np.int32), ()
-    logits = pixel_masks(output.masks[-1][:, kept], output.upsampling, output.detail_queries[:, kept], output.details)
-    merged = merge_duplicates(logits[0, :, : size[0], : size[1]], probability[kept], duplicate_iou)
+    queries = output.detail_queries[:, kept]
+    logits = upsampled_masks(output.masks[-1][:, kept], output.upsampling, queries, output.details)
+    merged = merge_duplicates(logits[0], probability[kept], duplicate_iou)
     sure = torch.nonzero(merged.probability > threshold)[:, 0]
     if not len(sure):
         return np.zeros(size, np.int32), ()
-    masks = merged.logits[sure].sigmoid().flatten(1)
-    won, counts, left = resolve_overlaps(masks, merged.probability[sure], min_pixels, overlap_threshold)
+    masks = merged.logits[sure]
+    if queries.shape[-1]:
+        masks = between_cells(masks[None])[0]
+    masks = masks[:, : size[0], : size[1]].flatten(1)
+    # Pixels that lie in no mask are background, whichever mask is the most probable one there.
+    claimed = torch.nonzero(masks.amax(0) > math.log(MASK_THRESHOLD / (1 - MASK_THRESHOLD)))[:, 0]
+    claim = masks[:, claimed].sigmoid()
+    won, counts, left = resolve_overlaps(claim, merged.probability[sure], min_pixels, overlap_threshold)
     if not len(left):
         return np.zeros(size, np.int32), ()
     sure = sure[left]
     kept = kept[merged.best[sure]]
-    labels = won.reshape(size).to(torch.int32).cpu().numpy()
+    labels = np.zeros(size, np.int32)
+    labels.ravel()[claimed.cpu().numpy()] = won.cpu().numpy()
     R, t, center, moves, score = (
         values.double().cpu().numpy()
         for values in (

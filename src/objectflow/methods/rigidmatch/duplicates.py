@@ -9,8 +9,6 @@ from torch import Tensor
 
 MAX_LOGIT = 8.0
 """Absolute value at which mask logits are truncated before they are averaged: no query outweighs the others."""
-_STEP = 2
-"""Pixels between those at which masks are compared."""
 
 
 class MergedMasks(NamedTuple):
@@ -35,13 +33,13 @@ def merge_duplicates(logits: Tensor, probability: Tensor, min_iou: float) -> Mer
     each query takes the remaining ones whose masks overlap its own.
 
     Args:
-        logits: (K, H, W) mask logits.
+        logits: (K, H, W) mask logits, of pixels or of cells.
         probability: (K,) object probability.
         min_iou: minimum intersection over union, 0..1, of two masks of one object.
     """
     if not len(probability):
         return MergedMasks(logits, probability, torch.zeros(0, dtype=torch.long, device=logits.device))
-    inside = (logits[:, ::_STEP, ::_STEP] > 0).flatten(1).float()
+    inside = (logits > 0).flatten(1).float()
     common = inside @ inside.T
     area = inside.sum(1)
     union = area[:, None] + area[None] - common

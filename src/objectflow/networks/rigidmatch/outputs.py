@@ -92,11 +92,14 @@ def upsampled_masks(masks: Tensor, upsampling: Tensor, queries: Tensor, details:
 
 
 def pixel_masks(masks: Tensor, upsampling: Tensor, queries: Tensor, details: Tensor) -> Tensor:
-    """`upsampled_masks` at every pixel, between cells linearly: (B, K, H', W')."""
+    """`upsampled_masks` at every pixel: (B, K, H', W')."""
     out = upsampled_masks(masks, upsampling, queries, details)
-    if not queries.shape[-1]:
-        return out
+    return between_cells(out) if queries.shape[-1] else out
+
+
+def between_cells(masks: Tensor) -> Tensor:
+    """Mask logits (B, K, h, w) on the grid at stride 2 at every pixel, between cells linearly: (B, K, 2 h, 2 w)."""
     # Cell (i, j) stands for pixel (2 i, 2 j), so the last row and column of pixels lie beyond the last cells.
-    height, width = out.shape[-2:]
-    between = F.interpolate(out, (2 * height - 1, 2 * width - 1), mode="bilinear", align_corners=True)
+    height, width = masks.shape[-2:]
+    between = F.interpolate(masks, (2 * height - 1, 2 * width - 1), mode="bilinear", align_corners=True)
     return F.pad(between, (0, 1, 0, 1), mode="replicate")
