@@ -7,11 +7,12 @@ with a moving camera (`--camera-turn 1 --camera-shift 0.005`), add `--camera mov
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,13 +21,14 @@ import tyro
 from rich.console import Console
 
 from objectflow import geometry
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.dataset.schema import SequenceRow
 from objectflow.dataset.shards import open_sequences
 from objectflow.evaluation.methods import parse_methods
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT
 from objectflow.geometry.symmetry import SymmetryAxis
-from objectflow.methods.base import Estimator
+from objectflow.methods.base import Estimator, PairEstimator, closer
 from objectflow.motion import SceneMotion
 from objectflow.tracking.arrivals import ArrivalSettings
 from objectflow.tracking.known_settings import KnownSettings
@@ -102,7 +104,7 @@ def main(settings: Settings) -> None:
         known = KnownSettings(arrival=ArrivalSettings(min_pixels=10**9)) if settings.sure_only else None
         for method, estimator in (estimators | {ORACLE: None}).items():
             folder = None if settings.meshes is None else settings.meshes / method / frames[0].sequence
-            add_sequence(scores[method], frames, images, between(estimator, frames, images), folder, skip, known)
+            add_sequence(scores[method], frames, images, estimator, folder, skip, known)
     console = Console(width=120)
     title = f"{len(sequences)} sequences of {len(sequences[0])} frames"
     tables = following_table(title, scores), model_table(scores), pose_table(scores), time_table(scores)
@@ -119,35 +121,58 @@ def noisy(frame: RgbdFrame, scale: float, seed: int) -> RgbdFrame:
     return RgbdFrame(frame.color, depth, frame.camera, frame.timestamp, frame.name)
 
 
-def between(
-    estimator: Estimator | None, frames: Sequence[SequenceRow], images: Sequence[RgbdFrame]
-) -> Callable[[int, int], SceneMotion]:
-    """The motion between two frames of these numbers, the earlier one first; the true one if there is no estimator."""
-    if estimator is None:
-        return lambda prev, curr: true_motion(frames[prev], frames[curr])
-    return lambda prev, curr: estimator(images[prev], images[curr])
+class TimedEstimator(PairEstimator):
+    """An estimator, or the true motions without one, on the frames of a sequence; consecutive pairs are timed."""
+
+    def __init__(
+        self, estimator: Estimator | None, frames: Sequence[SequenceRow], images: Sequence[RgbdFrame], score: Score
+    ) -> None:
+        self.estimator, self.frames, self.score = estimator, frames, score
+        self.numbers = {id(image): number for number, image in enumerate(images)}
+
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        """See `PairEstimator`."""
+        prev, curr = pair.prev.frame, pair.curr.frame
+        first, second = self.numbers[id(prev)], self.numbers[id(curr)]
+        began = time.process_time()
+        if self.estimator is None:
+            found = true_motion(self.frames[first], self.frames[second])
+        else:
+            found = self.estimator(prev, curr)
+        if second == first + 1:
+            self.score.estimating += time.process_time() - began
+        return found
+
+    def closer(self) -> TimedEstimator:
+        """See `PairEstimator`."""
+        if self.estimator is None:
+            return self
+        out = copy.copy(self)
+        out.estimator = closer(self.estimator)
+        return out
 
 
 def add_sequence(
     score: Score,
     frames: Sequence[SequenceRow],
     images: Sequence[RgbdFrame],
-    estimate_between: Callable[[int, int], SceneMotion],
+    estimator: Estimator | None,
     folder: Path | None,
     skip_explained: bool,
     known_settings: KnownSettings | None = None,
 ) -> None:
-    """Follow one sequence, model its objects, and compare both with the ground truth."""
-    numbers = {id(image): number for number, image in enumerate(images)}
+    """Follow one sequence, model its objects, and compare both with the ground truth.
 
-    def estimate(prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
-        began = time.process_time()
-        found = estimate_between(numbers[id(prev)], numbers[id(curr)])
-        if numbers[id(curr)] == numbers[id(prev)] + 1:
-            score.estimating += time.process_time() - began
-        return found
-
-    sequence = SequenceEstimator(estimate, settings=known_settings, skip_explained=skip_explained)
+    Args:
+        score: is added to.
+        frames, images: the ground truth of the sequence, and what the method is given.
+        estimator: of the pairs; None for the true motions.
+        folder: for meshes; None to write none.
+        skip_explained: see `SequenceEstimator`.
+        known_settings: of the known objects.
+    """
+    timed = TimedEstimator(estimator, frames, images, score)
+    sequence = SequenceEstimator(timed, settings=known_settings, skip_explained=skip_explained)
     last: dict[int, int] = {}
     starts: dict[tuple[int, int], tuple[int, Float64Array]] = {}
     owners: dict[int, Counter[int]] = {}

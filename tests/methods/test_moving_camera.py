@@ -248,6 +248,17 @@ def test_the_weights_are_those_of_the_estimator() -> None:
     assert MovingCamera(estimator=Learned(analytic.make_scene(5))).weights == Path("w.safetensors")
 
 
+def test_the_closer_method_is_that_of_the_estimator() -> None:
+    class Closer(PreparedTruth):
+        def closer(self) -> PairEstimator:
+            return DenseFlow()
+
+    scene = analytic.make_scene(5)
+    assert MovingCamera(estimator=Closer(scene), seed=3).closer() == MovingCamera(estimator=DenseFlow(), seed=3)
+    plain = MovingCamera(estimator=Truth(scene))
+    assert plain.closer().estimator is plain.estimator
+
+
 def test_the_result_depends_on_the_seed_alone() -> None:
     scene = analytic.make_scene(5, camera_motion=MOTION, depth_noise=0.002)
     pair = FramePair(scene.prev, scene.curr)

@@ -10,9 +10,13 @@ import pytest
 
 from helpers.plate_scenes import Place, PlateScene, iou
 from objectflow import SequenceEstimator
+from objectflow.alignment.frame_pair import FramePair
 from objectflow.frame import RgbdFrame
+from objectflow.methods.base import PairEstimator
 from objectflow.motion import SceneMotion
 from objectflow.tracking import SequenceStep
+from objectflow.tracking.known_settings import KnownSettings
+from objectflow.tracking.longer_gap_settings import LongerGapSettings
 
 STILL: Place = (0.3, 0.2, 1.2)
 STEP = 0.02
@@ -122,6 +126,32 @@ def test_frames_farther_apart_are_compared_in_a_fifth_of_the_pairs_at_most() -> 
     longer = [pair for pair in calls if pair[0] < pair[1] - 1]
     assert 30 / 5 - 1 <= len(longer) <= 30 / 5 + 2
     assert all(curr - prev <= 4 for prev, curr in longer)
+
+
+class Near(PairEstimator):
+    """Sees what moves only with its closer look."""
+
+    def __init__(self, scene: PlateScene, sees: bool = False) -> None:
+        self.scene, self.sees = scene, sees
+
+    def estimate(self, pair: FramePair) -> SceneMotion:
+        prev, curr = (round(one.frame.timestamp or 0) for one in (pair.prev, pair.curr))
+        found = self.scene.motion(curr, since=prev)
+        return found if self.sees else SceneMotion(np.zeros_like(found.labels), found.scene_flow)
+
+    def closer(self) -> Near:
+        return Near(self.scene, sees=True)
+
+
+@pytest.mark.parametrize("closer", [True, False])
+def test_frames_farther_apart_are_looked_at_more_closely(closer: bool) -> None:
+    scene = PlateScene()
+    frames = [scene.frame(number, here) for number, here in enumerate(pushed(8))]
+    settings = KnownSettings(longer_gap=LongerGapSettings(closer=closer))
+    sequence = SequenceEstimator(Near(scene), settings=settings)
+    steps = [sequence.update(frame) for frame in frames]
+    assert any(step is not None and step.longer is not None for step in steps)
+    assert len(sequence.tracks) == closer
 
 
 def test_no_frames_farther_apart_are_compared_where_nothing_changed() -> None:

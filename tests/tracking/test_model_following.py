@@ -11,9 +11,9 @@ from helpers.plate_scenes import Place, PlateScene, iou, play_changed
 from objectflow import SequenceEstimator
 from objectflow.frame import RgbdFrame
 from objectflow.motion import SceneMotion
-from objectflow.tracking import KnownSettings, SequenceStep, Tracker, TrackerSettings
+from objectflow.tracking import KnownSettings, SequenceStep, Tracker, TrackerSettings, known_step
 from objectflow.tracking.follow_settings import FollowSettings
-from objectflow.tracking.looks import LooksSettings
+from objectflow.tracking.looks import Looks, LooksSettings
 
 STILL: Place = (0.3, 0.2, 1.2)
 STEP = 0.03
@@ -206,3 +206,39 @@ def test_the_pose_of_an_object_that_moved_unseen_is_corrected_when_it_moves_agai
     assert track.times[-3:] == [4, 5, 6]
     shifts = [pose[0, 3] - track.world_T_object[0][0, 3] for pose in track.world_T_object[-3:]]
     np.testing.assert_allclose(shifts, 3 * STEP + jump + STEP * np.arange(3), atol=0.01)
+
+
+def test_a_fragment_does_not_take_the_id_of_the_whole() -> None:
+    """One pair shows a strip of the plate alone, the next one this strip and the rest of the plate as two objects."""
+    places = pushed(7)
+
+    def change(number: int, found: SceneMotion) -> SceneMotion:
+        columns = np.flatnonzero((found.labels == 1).any(axis=0))
+        strip = (found.labels == 1) & (np.arange(160) < columns[0] + 8)
+        if number == 4:
+            return replace(found, labels=np.where(strip, 1, 0).astype(np.int32))
+        if number == 5:
+            # The strip's motion is another one, so that it is no piece of the plate.
+            other = found.objects[0].prev_T_curr.copy()
+            other[1, 3] += 0.012
+            objects = found.objects[0], replace(found.objects[0], id=7, prev_T_curr=other)
+            return replace(found, labels=np.where(strip, 7, found.labels).astype(np.int32), objects=objects)
+        return found
+
+    scene, _, steps = play_changed(places, change)
+    assert steps[4].tracks[1] == 1
+    assert iou(steps[3].known == 1, scene.labels[4] == 1) > 0.9
+
+
+def test_an_object_without_features_is_found_where_the_frames_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plate jumps by 30 cm in a pair of which the method finds nothing."""
+    monkeypatch.setattr(Looks, "find", lambda *args: None)
+    monkeypatch.setattr(known_step, "matched_motion", lambda *args: None)
+    rest = pushed(5)[-1]
+    there = {**rest, 1: (rest[1][0] + 0.16, 0.28, rest[1][2])}
+    scene, sequence, steps = play([*pushed(5), rest, there, there], missed={5, 6, 7})
+    assert steps[5].followed == (1,)
+    assert iou(steps[5].known == 1, scene.labels[6] == 1) > 0.85
+    (track,) = sequence.tracks
+    moved = track.world_T_object[-1][:3, 3] - track.world_T_object[0][:3, 3]
+    np.testing.assert_allclose(moved, np.subtract(there[1], pushed(5)[0][1]), atol=0.01)

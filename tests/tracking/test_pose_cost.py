@@ -15,7 +15,7 @@ from objectflow.alignment.registration import (
 )
 from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
-from objectflow.tracking.pose_cost import PoseCostSettings, is_better, pose_costs
+from objectflow.tracking.pose_cost import Chroma, PoseCostSettings, is_better, pose_costs
 from objectflow.typing import BoolMask, Float64Array
 
 CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
@@ -61,6 +61,24 @@ def test_texture_tells_poses_apart_that_depth_does_not() -> None:
     assert is_better(np.array([off, true]), SETTINGS)
     true, off = costs(False, np.eye(4), shifted(0.01))
     assert not is_better(np.array([off, true]), SETTINGS)
+
+
+def test_hue_tells_poses_apart_that_grey_levels_do_not() -> None:
+    """A red patch on a green plate of the same grey level, at its place and 4 cm beside it."""
+    (prev, _), (curr, _) = plate(0, texture=False), plate(1, texture=False)
+    source = RegistrationSources(curr).take(MIDDLE)
+    image = np.full((120, 160, 2), (-40.0, 30.0), np.float32)
+    image[MIDDLE] = 40.0, 30.0
+    colors = Chroma(image, np.full((len(source.points), 2), (40.0, 30.0), np.float32))
+    poses = np.eye(4), shifted(0.04)
+    target = RegistrationTarget(prev)
+    gray = pose_costs(target, source, poses, REGISTRATION, SETTINGS)
+    true, off = pose_costs(target, source, poses, REGISTRATION, SETTINGS, colors)
+    assert not is_better(gray[::-1], SETTINGS)
+    assert true == pytest.approx(gray[0])
+    # 6 of 30 columns lie on green, 80 units off; the residual is truncated.
+    beside = 6 / 30 * REGISTRATION.color_weight * SETTINGS.max_sigmas**2
+    assert off - gray[1] == pytest.approx(beside, rel=0.1)
 
 
 def test_a_plate_without_texture_does_not_slide() -> None:

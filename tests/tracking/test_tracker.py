@@ -83,6 +83,35 @@ def test_track_ids_persist_when_pairs_number_their_objects_differently() -> None
         np.testing.assert_allclose(np.diff(positions, axis=0), np.diff(path, axis=0), atol=1e-9)
 
 
+@pytest.mark.parametrize("jump", [0.06, 0.24])
+def test_an_object_whose_motion_is_wrong_goes_on_with_a_gap_in_its_place(jump: float) -> None:
+    """The motion of the second pair leads to a place 30 cm away; the plate covers its last place by 60 % or not."""
+    tracker = Tracker()
+    first = plates({1: (0.0, 0.0)}, {1: (-0.03, 0.0)})
+    tracker.update(0, first[0], 1, first[1])
+    second = plates({1: (jump, 0.0)}, {1: (jump, 0.3)})
+    found = tracker.update(1, second[0], 2, second[1])
+    if jump > 0.2:
+        assert found == {1: 2}
+        return
+    assert found == {1: 1}
+    (track,) = tracker.tracks
+    assert track.gaps == [2]
+    np.testing.assert_allclose(track.world_T_object[-1][:3, 3], [jump, 0, 1], atol=2 * HALF_PIXEL)
+    # The wrong motion predicts nothing.
+    third = plates({1: (jump + 0.03, 0.0)}, {1: (jump, 0.0)})
+    assert tracker.update(2, third[0], 3, third[1]) == {1: 1}
+
+
+def test_an_object_of_other_colours_does_not_go_on_in_the_place_of_a_track() -> None:
+    tracker = Tracker()
+    first = plates({1: (0.0, 0.0)}, {1: (-0.03, 0.0)})
+    tracker.update(0, first[0], 1, first[1])
+    frame, motion, _ = plates({1: (0.03, 0.0)}, {1: (0.03, 0.3)})
+    red = dataclasses.replace(frame, color=np.full_like(frame.color, (200, 30, 30)))
+    assert tracker.update(1, red, 2, motion) == {1: 2}
+
+
 def test_rotations_are_chained() -> None:
     tracker = Tracker()
     frame, motion, _ = plates({1: (0.0, 0.0)}, {1: (0.0, 0.0)})

@@ -35,6 +35,10 @@ class PairEstimator(ABC):
         """Start in side threads what `estimate` needs of the frames alone, into `FramePair.beside`."""
         return
 
+    def closer(self) -> PairEstimator:
+        """The method with settings that find smaller objects in more time; itself if it has none."""
+        return self
+
     def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
         """Estimate several pairs; methods with a network evaluate it once for all of them."""
         return [self.estimate(pair) for pair in pairs]
@@ -42,6 +46,11 @@ class PairEstimator(ABC):
     def __call__(self, prev: RgbdFrame, curr: RgbdFrame) -> SceneMotion:
         """See `Estimator`."""
         return self.estimate(FramePair(prev, curr))
+
+
+def closer(estimator: Estimator) -> Estimator:
+    """Any estimator with the settings of `PairEstimator.closer`."""
+    return estimator.closer() if isinstance(estimator, PairEstimator) else estimator
 
 
 def estimate_pair(estimator: Estimator, pair: FramePair) -> SceneMotion:

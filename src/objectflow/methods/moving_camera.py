@@ -29,7 +29,7 @@ from objectflow.frame import RgbdFrame
 from objectflow.geometry.camera import Camera
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise, DepthNoiseName
 from objectflow.geometry.moved import STATIC_DISPLACEMENT, displaces
-from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
+from objectflow.methods.base import Estimator, PairEstimator, closer, estimate_pair
 from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.runtime.side_threads import has_side_threads
@@ -172,6 +172,10 @@ class MovingCamera(StaticCameraEstimator):
         """The file of the estimator's weights, if it has any."""
         found: Path | None = getattr(self.estimator, "weights", None)
         return found
+
+    def closer(self) -> MovingCamera:
+        """See `PairEstimator`."""
+        return self if self.estimator is None else dataclasses.replace(self, estimator=closer(self.estimator))
 
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """See `StaticCameraEstimator`."""

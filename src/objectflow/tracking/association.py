@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -24,6 +25,14 @@ class LastState:
     colors: Float64Array
     world_step: Float64Array
     age: int = 0
+
+
+class Again(NamedTuple):
+    """The track that an object is, its pose (4, 4) in the current frame, and whether its model confirms it."""
+
+    number: int
+    world_T_object: Float64Array
+    confirmed: bool
 
 
 def associate(
@@ -77,3 +86,56 @@ def associate(
         if overlap[i, j] >= settings.min_overlap:
             links[i] = ids[j]
     return links
+
+
+def continuation(
+    surface: SeenSurface,
+    states: Mapping[int, LastState],
+    camera: Camera,
+    curr_T_world: Float64Array,
+    rests: Callable[[int], bool],
+    settings: TrackerSettings,
+) -> tuple[int, Float64Array] | None:
+    """The track that went on to a surface although the motion of the pair leads elsewhere.
+
+    The track moved in one of the last pairs and has similar colours, and the surface covers the place of its last
+    surface, or that to which its last motion leads.
+
+    Args:
+        surface: in the current camera frame.
+        states: of tracks without an association, by track id.
+        camera: of the frame.
+        curr_T_world: (4, 4) of the frame.
+        rests: whether the frame shows a track's object where it was.
+        settings: thresholds.
+
+    Returns:
+        The track and its step (4, 4) in the world: no motion or the last one, shifted to the surface. None for a new
+        object.
+    """
+    best, most = None, settings.min_continued_overlap
+    for number in similar_tracks(surface, states, settings.min_continued_similarity):
+        state = states[number]
+        if state.age > settings.coast:
+            continue
+        for step in (np.eye(4), np.linalg.matrix_power(state.world_step, state.age + 1)):
+            expected = geometry.transform(curr_T_world @ step, state.points)
+            overlap = footprint_overlap(surface.points, expected, camera, settings.footprint_cells)
+            if overlap >= most and not rests(number):
+                shift = np.median(surface.points, axis=0) - np.median(expected, axis=0)
+                world_step = geometry.make_transform(np.eye(3), curr_T_world[:3, :3].T @ shift) @ step
+                best, most = (number, world_step), overlap
+    return best
+
+
+def similar_tracks(surface: SeenSurface, states: Mapping[int, LastState], least: float) -> list[int]:
+    """The tracks whose colours are similar to those of a surface, the most similar first.
+
+    Args:
+        surface: of an object.
+        states: by track id.
+        least: Bhattacharyya coefficient of the colours.
+    """
+    similarity = {number: float(np.sqrt(surface.colors * state.colors).sum()) for number, state in states.items()}
+    similar = [number for number, value in similarity.items() if value >= least]
+    return sorted(similar, key=lambda number: (-similarity[number], number))

@@ -25,6 +25,10 @@ class Evidence(Protocol):
         """Whether the frame shows that a step, with the same arguments, is not that of the track."""
         ...
 
+    def rests(self, number: int, camera_T_object: Float64Array) -> bool:
+        """Whether the frame shows a track's object at its last pose (4, 4)."""
+        ...
+
     def arrives(self, obj: ObjectMotion) -> bool:
         """Whether the frames show that an object of low score was not where it is now, so that it moved somehow."""
         ...

@@ -65,7 +65,8 @@ def fine_step(
     Returns:
         None where the frame does not show the object.
     """
-    poses = [rest, *(view.register(model, start)[0] for start in (rest, *starts))]
+    # Registration may slide along a surface from a pose that was right.
+    poses = [rest, *(view.register(model, start)[0] for start in (rest, *starts)), *starts]
     costs = view.costs(model, poses)
     best = int(np.argmin(costs))
     depth = float(geometry.transform(rest, model.points.mean(axis=0))[2])

@@ -38,6 +38,8 @@ class FollowSettings(Settings):
     """Features by which a lost object is searched in the whole frame, one object per frame."""
     twin_distance: float = setting(0.03, minimum=0)
     """Metres: an object is not found again this close to where something else was seen that looks the same."""
+    max_regions: int = setting(3, minimum=0)
+    """Maximum number of changed regions, the largest ones, in which a lost object is searched."""
     max_candidates: int = setting(3, minimum=0)
     """Maximum number of lost objects, those of the most similar colours, that a new object is compared with."""
     min_overlap: float = setting(0.5, minimum=0, maximum=1)

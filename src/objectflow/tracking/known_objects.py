@@ -12,13 +12,16 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.geometry.resample import resize_nearest
 from objectflow.motion import SceneMotion
+from objectflow.tracking.known_masks import moving_region, nearest_labels
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
 from objectflow.tracking.known_step import Starts, known_step
-from objectflow.tracking.model_evidence import ModelEvidence, starts_in_mask
+from objectflow.tracking.model_evidence import ModelEvidence
 from objectflow.tracking.model_fit import FrameView
-from objectflow.tracking.model_motion import ModelPose, PairViews, best_pose
+from objectflow.tracking.model_motion import ModelPose, PairViews, best_pose, model_motion
 from objectflow.tracking.parts import resting_part
+from objectflow.tracking.search_starts import starts_in_changes, starts_in_mask
+from objectflow.tracking.seen_surface import seen_surface
 from objectflow.tracking.surface_model import SurfaceModel, new_model
 from objectflow.tracking.tracker import Tracker
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
@@ -104,7 +107,7 @@ class KnownObjects:
         self._searches += 1
         for number in sorted(lost, key=lambda number: (self.objects[number].searched, number))[:1]:
             self.objects[number].searched = self._searches
-            found = self._search(views.curr, number, motion, tracks, tracker)
+            found = self._search(views, number, motion, tracks, tracker)
             if found is not None:
                 tracker.follow(
                     number, prev_time, time, tracker.world_T_camera[-1] @ found.curr_T_object, found.present
@@ -118,16 +121,23 @@ class KnownObjects:
 
     def _search(
         self,
-        view: FrameView,
+        views: PairViews,
         number: int,
         motion: SceneMotion,
         tracks: Mapping[int, int],
         tracker: Tracker,
     ) -> ModelPose | None:
-        """The pose at which a lost object is found again by its looks, confirmed by its model."""
-        known, settings = self.objects[number], self.settings.follow
+        """The pose at which a lost object is found again, confirmed by its model.
+
+        It is searched by its looks in the whole frame, and where something changed.
+        """
+        known, settings, view = self.objects[number], self.settings.follow, views.curr
         start = known.looks.find(view.frame, view.noise, settings.looks)
         found = None if start is None else best_pose(view, known.model, [start], settings)
+        if found is None:
+            rest, moving = self._rest(number, tracker), np.isin(motion.labels, list(tracks))
+            starts = starts_in_changes(views, known, moving, rest, self.settings)
+            found = model_motion(views, known.model, rest, starts, settings)
         if found is None or self._is_claimed(view, number, found.curr_T_object, motion, tracks, tracker):
             return None
         center = known.model.points.mean(axis=0)
@@ -229,8 +239,7 @@ class KnownObjects:
         by_id = {track.id: track for track in tracker.tracks}
         poses = {number: curr_T_world @ by_id[number].world_T_object[-1] for number in (*masks, *followed)}
         masks = self._separated(masks, followed, poses, view)
-        regions: dict[int, BoolMask] = {}
-        depths: dict[int, np.ndarray] = {}
+        regions: dict[int, tuple[BoolMask, Float32Array]] = {}
         for number in sorted({*self.objects, *masks}):
             track = by_id[number]
             if number in masks:
@@ -251,22 +260,19 @@ class KnownObjects:
             fit = view.fit(known.model, pose)
             known.present = fit.present if fit.visible >= self.settings.min_visible else 0.0
             if number in masks:
-                # A pair's mask also contains surface that the model has not seen before.
-                regions[number], depths[number] = masks[number] & view.frame.valid, view.frame.frame.depth
+                others = [mask for other, mask in masks.items() if other != number]
+                sure = known.present >= self.settings.min_present
+                regions[number] = moving_region(view, known.model if sure else None, pose, masks[number], others)
             elif known.present >= self.settings.min_present:
                 mask, depth = (shown or {}).get(number) or view.mask(known.model, pose)
                 if mask.sum() >= self.settings.min_pixels:
-                    regions[number], depths[number] = mask, depth
+                    regions[number] = mask, depth
         tracker.keep(number for number, known in self.objects.items() if known.present >= self.settings.min_present)
-        out = np.zeros((height, width), np.int32)
-        best = np.full((height, width), np.inf, np.float32)
-        # Pixels that two objects claim belong to the one whose model is nearer to the measured depth; the masks of
-        # moving objects come first.
-        for number in sorted(regions, key=lambda n: n not in masks):
-            with np.errstate(invalid="ignore"):
-                off = np.abs(depths[number] - view.frame.frame.depth)
-            wins = regions[number] & (off < best)
-            out[wins], best[wins] = number, off[wins]
+        out = nearest_labels(view, regions, masks)
+        for number in set(masks) & set(self.objects):
+            surface = seen_surface(view.frame.frame, out == number, tracker.settings.max_points)
+            if len(surface.points):
+                tracker.see(number, surface)
         return np.asarray(resize_nearest(out, shape), dtype=np.int32)
 
     def _split(self, number: int, mask: BoolMask, view: FrameView, tracker: Tracker) -> None:

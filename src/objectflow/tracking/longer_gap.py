@@ -1,4 +1,4 @@
-"""Objects that move too little between consecutive frames: they are found between frames that lie farther apart."""
+"""Objects that are too small, or move too little, for a pair: they are found between frames that lie farther apart."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.geometry.resample import resize_nearest
-from objectflow.methods.base import Estimator, estimate_pair
+from objectflow.methods.base import Estimator, closer, estimate_pair
 from objectflow.motion import SceneMotion
 from objectflow.tracking.earlier_steps import earlier_poses
 from objectflow.tracking.fine_step import displacement
@@ -86,7 +86,7 @@ class LongerGaps:
         if given is not None and given.prev_time == older.time:
             return given
         pair = FramePair(PreparedFrame(older.frame), views.pair.curr)
-        return LongerEstimate(older.time, estimate_pair(estimator, pair))
+        return LongerEstimate(older.time, estimate_pair(closer(estimator) if settings.closer else estimator, pair))
 
 
 def add_found(

@@ -13,6 +13,9 @@ class LongerGapSettings(Settings):
 
     gap: int = setting(4, minimum=2)
     """Number of frames between the two; fewer at the start of a world."""
+    closer: bool = True
+    """Look for smaller objects in these estimates than in those of pairs, if the method can: `rigidmatch` does so with
+    `detail="crops"`."""
     rim: int = setting(3, minimum=0)
     """Pixels around what is found, within which a known object is the same if it moved alike."""
     pairs_per_estimate: int = setting(5, minimum=1)

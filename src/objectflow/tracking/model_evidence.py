@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
 
 from objectflow import geometry
@@ -13,9 +12,9 @@ from objectflow.motion import ObjectMotion
 from objectflow.tracking.arrivals import Arrivals
 from objectflow.tracking.known_object import KnownObject
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.model_fit import FrameView
 from objectflow.tracking.model_motion import PairViews, best_pose
-from objectflow.typing import BoolMask, Float64Array, LabelImage
+from objectflow.tracking.search_starts import starts_in_mask
+from objectflow.typing import Float64Array, LabelImage
 
 
 class ModelEvidence:
@@ -63,6 +62,14 @@ class ModelEvidence:
             return False
         return fit.present >= settings.refused_rest and self._view.is_better(known.model, after, before)
 
+    def rests(self, number: int, camera_T_object: Float64Array) -> bool:
+        """See `Evidence.rests`."""
+        known = self._objects.get(number)
+        if known is None:
+            return False
+        fit = self._view.fit(known.model, camera_T_object)
+        return fit.visible >= self._settings.min_visible and fit.present >= self._settings.follow.max_rest
+
     def arrives(self, obj: ObjectMotion) -> bool:
         """See `Evidence.arrives`."""
         return self._arrivals.contains(self._labels, obj.id)
@@ -77,9 +84,8 @@ class ModelEvidence:
         for number in [n for n in candidates if n in self._objects][: settings.max_candidates]:
             known = self._objects[number]
             rest = self._curr_T_world @ known.world_T_object
-            fit = view.fit(known.model, rest)
-            if fit.visible >= self._settings.min_visible and fit.present >= settings.max_rest:
-                continue  # seen at rest
+            if self.rests(number, rest):
+                continue
             found = best_pose(view, known.model, starts_in_mask(view, known, mask, rest, self._settings), settings)
             if found is None:
                 continue
@@ -105,28 +111,3 @@ class ModelEvidence:
             if (shown & mask).sum() >= settings.min_piece * max(1, mask.sum()):
                 return number
         return None
-
-
-def starts_in_mask(
-    view: FrameView, known: KnownObject, mask: BoolMask, rest: Float64Array, settings: KnownSettings
-) -> list[Float64Array]:
-    """Initial poses of a model in a mask: by its looks, and at the mask's centre with its last orientation.
-
-    Args:
-        view: the frame.
-        known: the object.
-        mask: (H, W) bool at the size of the view.
-        rest: (4, 4) its last pose `camera_T_object`.
-        settings: thresholds.
-    """
-    around = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    looks = known.looks.find(view.frame, view.noise, settings.follow.looks, np.asarray(around))
-    starts = [] if looks is None else [looks]
-    inside = mask & view.frame.valid
-    facing = known.model.facing(rest)
-    if inside.any() and facing.any():
-        center = np.median(view.frame.points[inside].astype(np.float64), axis=0)
-        moved = rest.copy()
-        moved[:3, 3] += center - np.median(geometry.transform(rest, known.model.points[facing]), axis=0)
-        starts.append(moved)
-    return starts

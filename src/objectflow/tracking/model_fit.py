@@ -13,9 +13,9 @@ from objectflow.alignment.prepared_frame import PreparedFrame
 from objectflow.alignment.registration import RegistrationSource, RegistrationTarget, refine
 from objectflow.geometry.depth_noise import STRUCTURED_LIGHT, DepthNoise
 from objectflow.tracking.known_settings import KnownSettings
-from objectflow.tracking.pose_cost import is_better, pose_costs
+from objectflow.tracking.pose_cost import Chroma, is_better, pose_costs
 from objectflow.tracking.surface_model import SurfaceModel
-from objectflow.typing import BoolMask, Float32Array, Float64Array
+from objectflow.typing import BoolMask, Float32Array, Float64Array, IndexArray
 
 
 class ModelFit(NamedTuple):
@@ -97,8 +97,7 @@ class FrameView:
         tolerance = self.tolerance(z)
         known = np.isfinite(offset)
         agrees = known & (np.abs(offset) <= tolerance)
-        same = np.abs(chroma(model.colors[index]) - self.chroma[at[:, 1], at[:, 0]]).max(axis=-1, initial=0)
-        alike = same <= self.settings.max_chroma
+        alike = self._is_alike(model, index, at[:, 1], at[:, 0])
 
         def spread(values: BoolMask) -> BoolMask:
             out = np.zeros(count, bool)
@@ -122,10 +121,9 @@ class FrameView:
         Returns:
             The registered pose, and whether it explains the frame better than the initial one; see `pose_costs`.
         """
-        settings, source = self.settings, self._source(model, camera_T_object)
+        settings, source = self.settings, self._source(model, self._facing(model, camera_T_object))
         pose = refine(self.target, source, camera_T_object, settings=settings.registration).prev_T_curr
-        costs = pose_costs(self.target, source, (camera_T_object, pose), settings.registration, settings.pose_cost)
-        return pose, is_better(costs, settings.pose_cost)
+        return pose, self.is_better(model, camera_T_object, pose)
 
     def is_better(self, model: SurfaceModel, given: Float64Array, other: Float64Array) -> bool:
         """Whether a pose (4, 4) `camera_T_object` explains the frame better than a given one; see `pose_costs`."""
@@ -136,8 +134,10 @@ class FrameView:
 
         The points that face the camera at the first pose are compared.
         """
-        settings = self.settings
-        return pose_costs(self.target, self._source(model, poses[0]), poses, settings.registration, settings.pose_cost)
+        settings, facing = self.settings, self._facing(model, poses[0])
+        colors = Chroma(self.chroma, chroma(model.colors[facing]))
+        source = self._source(model, facing)
+        return pose_costs(self.target, source, poses, settings.registration, settings.pose_cost, colors)
 
     def mask(self, model: SurfaceModel, camera_T_object: Float64Array) -> tuple[BoolMask, Float32Array]:
         """Where the model is seen.
@@ -157,8 +157,7 @@ class FrameView:
         rows, columns = np.nonzero(inside & (measured > 0))
         z = depth[rows, columns]
         near = np.abs(z - measured[rows, columns]) <= self.tolerance(z)
-        color = chroma(model.colors[index[rows, columns]])
-        alike = np.abs(color - self.chroma[rows, columns]).max(axis=-1, initial=0) <= self.settings.max_chroma
+        alike = self._is_alike(model, index[rows, columns], rows, columns)
         agrees[rows, columns] = near & alike
         return np.asarray(
             _closed(agrees, self.settings.gap_radius)
@@ -167,13 +166,22 @@ class FrameView:
             & (agrees | _near(depth, measured, self.settings.gap_depth))
         ), depth
 
-    def _source(self, model: SurfaceModel, camera_T_object: Float64Array) -> RegistrationSource:
-        """The points of the model that face the camera, sampled evenly."""
+    def _is_alike(self, model: SurfaceModel, index: IndexArray, rows: IndexArray, columns: IndexArray) -> BoolMask:
+        """(N,) bool: whether voxels of the model have the colours of these pixels."""
+        apart = np.abs(chroma(model.colors[index]) - self.chroma[rows, columns]).max(axis=-1, initial=0)
+        return np.asarray(apart <= self.settings.max_chroma)
+
+    def _facing(self, model: SurfaceModel, camera_T_object: Float64Array) -> IndexArray:
+        """Indices of the model's voxels that face the camera, sampled evenly."""
         facing = np.flatnonzero(model.facing(camera_T_object))
         if len(facing) > self.settings.registration_points:
             facing = facing[np.linspace(0, len(facing) - 1, self.settings.registration_points).astype(int)]
-        grays = model.grays()[facing]
-        return RegistrationSource(model.points[facing].astype(np.float32), (grays, grays))
+        return facing
+
+    def _source(self, model: SurfaceModel, index: IndexArray) -> RegistrationSource:
+        """These voxels of the model."""
+        grays = model.grays()[index]
+        return RegistrationSource(model.points[index].astype(np.float32), (grays, grays))
 
 
 def chroma(color: Float64Array | np.ndarray) -> Float32Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from objectflow import geometry
 from objectflow.alignment.registration import RegistrationSettings, RegistrationSource, RegistrationTarget
 from objectflow.settings import Settings, setting
-from objectflow.typing import Float64Array
+from objectflow.typing import Float32Array, Float64Array
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class PoseCostSettings(Settings):
     """Minimum relative decrease of the mean cost at which a registered pose replaces the given one."""
     gray_noise: float = setting(8.0, above=0)
     """Grey levels: standard deviation of a grey residual."""
+    chroma_noise: float = setting(8.0, above=0)
+    """CIELAB units: standard deviation of a residual in a colour-opponent channel."""
     max_sigmas: float = setting(5.0, above=0)
     """Standard deviations at which a residual is truncated."""
 
@@ -35,16 +38,29 @@ def is_better(costs: Float64Array, settings: PoseCostSettings) -> bool:
     return bool(costs[1] < (1 - settings.min_gain) * costs[0])
 
 
+class Chroma(NamedTuple):
+    """The colour-opponent channels of CIELAB around 0.
+
+    Attributes:
+        image: (H, W, 2) float32 of the image that points are compared with.
+        points: (N, 2) float32 of the points.
+    """
+
+    image: Float32Array
+    points: Float32Array
+
+
 def pose_costs(
     target: RegistrationTarget,
     source: RegistrationSource,
     poses: Sequence[Float64Array],
     registration: RegistrationSettings,
     settings: PoseCostSettings,
+    chroma: Chroma | None = None,
 ) -> Float64Array:
     """The mean cost of the same points at several poses.
 
-    The cost of a point is its squared distance to the target's surface plus its squared grey residual, both in
+    The cost of a point is its squared distance to the target's surface plus its squared residual of colour, both in
     standard deviations and truncated. Points are compared that lie on the target's surface image at every pose and
     that are visible at one of them at least.
 
@@ -54,6 +70,7 @@ def pose_costs(
         poses: (4, 4) each, from the frame of the points to that of the target.
         registration: provides the weight of colour and the limit from which a point is hidden.
         settings: see there.
+        chroma: colours of both; without them, grey levels alone are compared.
 
     Returns:
         (K,) the cost of each pose; zeros where no point can be compared.
@@ -77,14 +94,19 @@ def pose_costs(
         u, v = pixels.T.astype(np.float32)
         shade = target.shades[-1][..., 0]
         seen = cv2.remap(shade, u[None], v[None], cv2.INTER_LINEAR)[0] if len(grays) else grays
-        residuals.append((along / sigma, (seen - grays) / settings.gray_noise))
+        tint = np.zeros(len(grays))
+        if chroma is not None and len(grays):
+            there = cv2.remap(chroma.image, u[None], v[None], cv2.INTER_LINEAR)[0]
+            tint = np.square((there - chroma.points) / settings.chroma_noise).sum(axis=1)
+        residuals.append((along / sigma, (seen - grays) / settings.gray_noise, tint))
     used = compared & visible
     if not used.any():
         return np.zeros(len(poses))
     limit = settings.max_sigmas**2
     costs = []
-    for depth, gray in residuals:
+    for depth, gray, tint in residuals:
         change = gray[used] - np.median(gray[used])  # exposure may have changed
-        cost = np.minimum(depth[used] ** 2, limit) + registration.color_weight * np.minimum(change**2, limit)
+        color = np.minimum(change**2 + tint[used], limit)
+        cost = np.minimum(depth[used] ** 2, limit) + registration.color_weight * color
         costs.append(float(cost.mean()))
     return np.array(costs)

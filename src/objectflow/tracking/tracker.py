@@ -15,7 +15,7 @@ from objectflow import geometry
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking.association import LastState, associate
+from objectflow.tracking.association import Again, LastState, associate, continuation, similar_tracks
 from objectflow.tracking.evidence import Evidence
 from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
 from objectflow.tracking.track import Track, next_camera_pose
@@ -98,9 +98,7 @@ class Tracker:
         links = associate(known, self._states, curr.camera, prev_T_world, refused, self.settings)
         found: dict[int, int] = {}
         # Pieces of an object are recognised once the object has its new pose, and sure motions come first.
-        order = sorted(
-            zip(known, links, strict=True), key=lambda link: (link[1] is None, not self._is_sure(link[0][0]))
-        )
+        order = sorted(zip(known, links, strict=True), key=lambda one: (one[1] is None, not self._is_sure(one[0][0])))
         for (obj, surface), number in order:
             # The object's motion from prev to curr in the world frame, without the camera's motion.
             world_step = world_T_curr @ geometry.inverse(obj.prev_T_curr) @ geometry.inverse(world_T_prev)
@@ -113,25 +111,29 @@ class Tracker:
                 if evidence is None or not evidence.confirms(number, before, after):
                     self._tracks[number].gaps.append(time)
                     continue
-            again = None
-            if number is None and evidence is not None:
+            if number is None and evidence is not None and not arrived:
                 # Whether an object moved with a known one takes a sure motion.
-                steps = self._steps(found.values(), world_T_prev, world_T_curr)
-                whole = None if arrived else evidence.contains(obj, steps)
+                whole = evidence.contains(obj, self._steps(found.values(), world_T_prev, world_T_curr))
                 if whole is not None:
                     self._add_piece(whole, geometry.transform(world_T_curr, surface.points))
                     found[obj.id] = whole
                     continue
-                again = evidence.recognises(obj, self._similar(surface, {*links, *found.values()}))
-            if arrived:
-                world_step = np.eye(4)  # the unsure motion must not predict the next pose
-            if arrived and again is None:
+            left_out = {*links, *found.values()}
+            again = None if number is not None else self._again(obj, surface, curr, world_T_curr, evidence, left_out)
+            if again is not None:
+                track, pose = self._tracks[again.number], again.world_T_object
+                track.rest_until(prev_time)
+            elif arrived:
                 track = self._new_track()
-                track.gaps.append(time)
                 pose = geometry.make_transform(np.eye(3), geometry.transform(world_T_curr, obj.center))
             else:
-                track = self._track(number if again is None else again[0], obj, prev_time, world_T_prev)
-                pose = world_step @ track.world_T_object[-1] if again is None else world_T_curr @ again[1]
+                track = self._track(number, obj, prev_time, world_T_prev)
+                pose = world_step @ track.world_T_object[-1]
+            guessed = arrived if again is None else not again.confirmed
+            if guessed:
+                track.gaps.append(time)
+            if arrived or guessed:
+                world_step = np.eye(4)  # the unsure motion must not predict the next pose
             track.world_T_object.append(pose)
             track.times.append(time)
             track.labels.append(obj.id)
@@ -174,6 +176,15 @@ class Tracker:
         points = geometry.transform(step, state.points)
         self._states[number] = LastState(points, state.colors, step)
         self._trim()
+
+    def see(self, number: int, surface: SeenSurface) -> None:
+        """Replace the last surface of a track by what the current frame shows, in its camera frame.
+
+        The pair's mask may have shown a part only.
+        """
+        state = self._states[number]
+        state.points = geometry.transform(self.world_T_camera[-1], surface.points)
+        state.colors = surface.colors
 
     def split(self, number: int, points: Float64Array, colors: Float64Array) -> Track:
         """A track of a part that rests in the latest pair, while the rest of the object moved.
@@ -274,15 +285,33 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
-    def _similar(self, surface: SeenSurface, left_out: Collection[int | None]) -> list[int]:
-        """The tracks whose colours are similar to those of a surface, the most similar first."""
-        similarity = {
-            number: float(np.sqrt(surface.colors * state.colors).sum())
-            for number, state in self._states.items()
-            if number not in left_out
-        }
-        similar = [number for number, value in similarity.items() if value >= self.settings.min_color_similarity]
-        return sorted(similar, key=lambda number: (-similarity[number], number))
+    def _again(
+        self,
+        obj: ObjectMotion,
+        surface: SeenSurface,
+        curr: RgbdFrame,
+        world_T_curr: Float64Array,
+        evidence: Evidence | None,
+        left_out: Collection[int | None],
+    ) -> Again | None:
+        """The track that an object without an association is, found again by its model, or else by its place."""
+        free = {number: state for number, state in self._states.items() if number not in left_out}
+        if evidence is not None:
+            known = evidence.recognises(obj, similar_tracks(surface, free, self.settings.min_color_similarity))
+            if known is not None:
+                return Again(known[0], world_T_curr @ known[1], confirmed=True)
+        curr_T_world = geometry.inverse(world_T_curr)
+
+        def rests(number: int) -> bool:
+            last = self._tracks[number].world_T_object[-1]
+            return evidence is not None and evidence.rests(number, curr_T_world @ last)
+
+        step = continuation(surface, free, curr.camera, curr_T_world, rests, self.settings)
+        if step is None:
+            return None
+        number, world_step = step
+        pose = world_step @ self._tracks[number].world_T_object[-1]
+        return Again(number, geometry.nearest_rigid(pose), confirmed=False)
 
     def _poses(
         self, number: int, obj: ObjectMotion, world_T_prev: Float64Array, world_T_curr: Float64Array

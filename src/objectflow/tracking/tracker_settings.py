@@ -21,6 +21,11 @@ class TrackerSettings(Settings):
     min_color_similarity: float = setting(0.35, minimum=0, maximum=1)
     """Minimum Bhattacharyya coefficient of two surfaces' colours: a neighbour does not take over the id of an object
     that left."""
+    min_continued_overlap: float = setting(0.3, minimum=0, maximum=1)
+    """Minimum intersection over union of the footprint of an object without an association with that of a track at its
+    last place, or where its last motion leads: the track goes on, with a gap, since the pair's motion is wrong."""
+    min_continued_similarity: float = setting(0.5, minimum=0, maximum=1)
+    """Minimum coefficient of the colours in this case."""
     coast: int = setting(3, minimum=0)
     """Number of pairs for which a lost track is also searched at the position its last motion predicts."""
     max_age: int = setting(300, minimum=0)

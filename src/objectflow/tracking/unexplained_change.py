@@ -45,7 +45,18 @@ def has_unexplained_change(
     noise: DepthNoise,
     settings: UnexplainedChangeSettings,
 ) -> bool:
-    """Whether a region of the current frame cannot have stood still, beside the objects known in either frame.
+    """Whether a region of the current frame cannot have stood still; see `unexplained_regions`."""
+    return bool(unexplained_regions(frames, prev_T_curr, known, noise, settings))
+
+
+def unexplained_regions(
+    frames: tuple[PreparedFrame, PreparedFrame],
+    prev_T_curr: Float64Array,
+    known: tuple[BoolMask, BoolMask],
+    noise: DepthNoise,
+    settings: UnexplainedChangeSettings,
+) -> list[BoolMask]:
+    """Regions of the current frame that cannot have stood still, beside the objects known in either frame.
 
     Args:
         frames: the previous and the current one.
@@ -53,6 +64,9 @@ def has_unexplained_change(
         known: (H, W) bool of any size, the pixels of known objects in the previous and in the current frame.
         noise: of the depth.
         settings: see there.
+
+    Returns:
+        (h, w) bool each, at the width of the likelihood; the largest first.
     """
     prev, curr = (frame.at_width(settings.likelihood.width) for frame in frames)
     cost, hidden = motion_cost(
@@ -70,8 +84,10 @@ def has_unexplained_change(
     around = cv2.dilate(explained.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
     changed = (cost >= settings.changed_cost) & ~hidden & curr.valid & ~around
     opened = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    _, _, stats, _ = cv2.connectedComponentsWithStats(opened)
-    return bool((stats[1:, cv2.CC_STAT_AREA] >= settings.min_share * cost.size).any())
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(opened)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    large = [k for k in range(1, len(areas)) if areas[k] >= settings.min_share * cost.size]
+    return [labels == k for k in sorted(large, key=lambda k: -areas[k])]
 
 
 def _at_size(mask: BoolMask, shape: tuple[int, ...]) -> BoolMask:

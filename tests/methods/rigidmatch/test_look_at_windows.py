@@ -88,3 +88,11 @@ def test_the_frame_alone_is_seen_where_the_setting_says_so() -> None:
         object.__setattr__(estimator, "postprocess", steps)
         estimator(SCENE.prev, SCENE.curr)
         assert bool(asked) is looks
+
+
+def test_the_closer_method_has_the_same_network_and_looks_at_windows() -> None:
+    estimator = load()
+    closer = estimator.closer()
+    assert closer.network is estimator.network
+    assert (estimator.detail, closer.detail) == ("frame", "crops")
+    assert closer.to_dict() == {**estimator.to_dict(), "detail": "crops"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from concurrent.futures import Future
@@ -151,6 +152,12 @@ class RigidMatchEstimator(RigidMatchConfig, StaticCameraEstimator):
                 frame.memo[self._xfeat_key] = start_beside(partial(self._xfeat, frame.frame))
         if likely_static:
             pair.beside[_DECODED, self.network] = start_beside(partial(self._decoded, [prev], [curr]))
+
+    def closer(self) -> RigidMatchEstimator:
+        """See `PairEstimator`: the same network with `detail="crops"`."""
+        out = copy.copy(self)
+        object.__setattr__(out, "detail", "crops")
+        return out
 
     def estimate_static(self, pairs: Sequence[FramePair]) -> list[SceneMotion]:
         """See `StaticCameraEstimator`; the network is evaluated once for all pairs of one size."""
