@@ -10,6 +10,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import analytic
 import objectflow
@@ -44,6 +45,23 @@ def test_threads_share_an_estimator(method: str) -> None:
     with ThreadPoolExecutor(8) as pool:
         together = list(pool.map(lambda pair: estimator(*pair), pairs * 4))
     assert together == alone * 4
+
+
+def blas_threads() -> set[int]:
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_estimate_uses_one_thread_of_linear_algebra(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[set[int]] = []
+    solve = np.linalg.solve
+    monkeypatch.setattr(np.linalg, "solve", lambda *args: seen.append(blas_threads()) or solve(*args))
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = blas_threads()
+        objectflow.load(method, camera="static")(*frames(1))
+        assert blas_threads() == before
+    assert seen
+    assert all(one == {1} for one in seen)
 
 
 def test_spawned_processes_give_the_same() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -18,7 +17,6 @@ from objectflow.alignment.registration import RegistrationSettings
 from objectflow.geometry.moved import STATIC_DISPLACEMENT, displaces
 from objectflow.geometry.resample import nearest_indices
 from objectflow.motion import ObjectMotion
-from objectflow.runtime.side_threads import side_by_side
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float64Array, LabelImage
 
@@ -93,7 +91,8 @@ def refine_objects(
         moving = displaces(motion, source.points, obj.center, settings.static_displacement)
         return dataclasses.replace(obj, prev_T_curr=motion, moving=moving)
 
-    return tuple(side_by_side(*(partial(refined, obj) for obj in objects)))
+    # Small arrays hold the interpreter's lock, so that threads would take longer than one after the other.
+    return tuple(refined(obj) for obj in objects)
 
 
 def refine_one(

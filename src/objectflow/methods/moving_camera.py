@@ -33,6 +33,7 @@ from objectflow.methods.base import Estimator, PairEstimator, closer, estimate_p
 from objectflow.methods.labels import unknown_motion, with_surface_centers
 from objectflow.motion import ObjectMotion, SceneMotion
 from objectflow.runtime.side_threads import has_side_threads
+from objectflow.runtime.threads import one_blas_thread
 from objectflow.settings import Settings, setting
 from objectflow.typing import Float32Array, Float64Array
 
@@ -90,6 +91,7 @@ class StaticCameraEstimator(CompensationConfig, PairEstimator):
         """See `PairEstimator`. `camera_motion` of the result is set where the camera was found to move."""
         return self.estimate_batch([pair])[0]
 
+    @one_blas_thread()
     def estimate_batch(self, pairs: Iterable[FramePair]) -> list[SceneMotion]:
         """Estimate several pairs; their seconds are shared equally.
 

@@ -1,13 +1,34 @@
-"""Threads of a worker, so that several workers on one machine share its cores."""
+"""Threads of linear algebra, and of a worker, so that several workers on one machine share its cores."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
+
+from threadpoolctl import ThreadpoolController
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables of the environment that the libraries of linear algebra read when they are loaded."""
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Let the linear algebra below NumPy and SciPy use one thread in this block; the former number returns after it.
+
+    The matrices of an estimate are small. More threads do not make them faster, and wait for work by spinning, which
+    takes a third of the processor's time in a scene of many objects.
+    """
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+@lru_cache(maxsize=1)
+def _controller() -> ThreadpoolController:
+    import scipy.linalg  # brings a library of its own  # noqa: F401
+
+    return ThreadpoolController()
 
 
 @contextmanager

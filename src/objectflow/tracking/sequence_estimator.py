@@ -17,6 +17,7 @@ from objectflow.methods.base import Estimator, PairEstimator, estimate_pair
 from objectflow.methods.labels import unknown_motion
 from objectflow.motion import SceneMotion
 from objectflow.runtime.side_threads import has_side_threads
+from objectflow.runtime.threads import one_blas_thread
 from objectflow.tracking.explained_step import explained_step, may_be_explained
 from objectflow.tracking.known_objects import KnownObjects
 from objectflow.tracking.known_settings import KnownSettings
@@ -135,6 +136,7 @@ class SequenceEstimator:
         """All tracks that are kept, in order of id."""
         return self.tracker.tracks
 
+    @one_blas_thread()
     def update(
         self,
         frame: RgbdFrame,
@@ -231,6 +233,7 @@ class SequenceEstimator:
         self._together = state["together"]
         self._time, self.segmentation = state["time"], state["segmentation"]
 
+    @one_blas_thread()
     def explain(self, frame: RgbdFrame, time: float) -> SequenceStep | None:
         """Add the next frame only if the known objects explain every change in it; see `skip_explained`.
 

@@ -34,6 +34,7 @@ from objectflow.methods.consensus.unexplained import RecoverySettings, recover_u
 from objectflow.methods.labels import unknown_motion
 from objectflow.methods.mask_edges import MaskEdgeSettings, upsample_labels
 from objectflow.motion import ObjectMotion, SceneMotion
+from objectflow.runtime.threads import one_blas_thread
 from objectflow.settings import Settings, setting
 from objectflow.typing import BoolMask, Float32Array, Float64Array, LabelImage
 
@@ -97,6 +98,7 @@ class Hypothesis(NamedTuple):
 class ConsensusEstimator(ConsensusConfig, PairEstimator):
     """The training-free estimator; its fields are its settings."""
 
+    @one_blas_thread()
     def estimate(self, pair: FramePair) -> SceneMotion:
         """See `PairEstimator`."""
         start = time.perf_counter()
