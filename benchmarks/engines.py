@@ -1,7 +1,8 @@
 """CPU seconds of the `rigidmatch` network per pair on different engines: `python benchmarks/engines.py`.
 
 The engines are torch in float32, torch with bfloat16 autocast on processors that have instructions for it, ONNX
-Runtime in float32, and ONNX Runtime with its convolutions in int8, calibrated on other pairs. All of them run what
+Runtime in float32, and ONNX Runtime with its convolutions in int8, calibrated on other pairs; and OpenVINO in float32
+and, on such processors, in bfloat16, if it is installed (`pip install openvino`). All of them run what
 `objectflow export` writes, the network up to the solve; `torch` is the form that estimates use, which does not make
 the table of all pairs' scores. Engines take turns on the pairs, so that all of them see the same load.
 
@@ -12,6 +13,7 @@ masks as probabilities. Lines of weights that do not exist are left out.
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import statistics
 import tempfile
 import time
@@ -90,6 +92,21 @@ def in_onnxruntime(path: Path, threads: int) -> Engine:
     return run
 
 
+def in_openvino(path: Path, threads: int, precision: str) -> Engine:
+    """A graph in OpenVINO, in `f32` or `bf16`."""
+    import openvino
+
+    options = {"INFERENCE_NUM_THREADS": threads, "INFERENCE_PRECISION_HINT": precision, "PERFORMANCE_HINT": "LATENCY"}
+    request = openvino.Core().compile_model(str(path), "CPU", options).create_infer_request()
+    names = ["match", "masks"]
+
+    def run(inputs: Tensors) -> dict[str, NDArray[Any]]:
+        found = request.infer({name: np.ascontiguousarray(value.numpy()) for name, value in inputs.items()})
+        return {name: np.array(found[name]) for name in names}
+
+    return run
+
+
 def in_int8(path: Path, samples: Iterator[Tensors]) -> Path:
     """The graph with its convolutions in int8, beside the one in float32."""
     from onnxruntime import quantization
@@ -128,6 +145,10 @@ def measure(weights: str, settings: Settings, folder: Path) -> list[tuple[str, f
     path = folder / "network.onnx"
     export_onnx(path, network, size)
     engines["onnxruntime float32"] = in_onnxruntime(path, settings.threads)
+    if importlib.util.find_spec("openvino") is not None:
+        engines["openvino float32"] = in_openvino(path, settings.threads, "f32")
+        if has_bfloat16():
+            engines["openvino bfloat16"] = in_openvino(path, settings.threads, "bf16")
     if settings.calibration:
         samples = (inputs_of(estimator, CALIBRATION_SEED + k) for k in range(settings.calibration))
         engines["onnxruntime int8 convolutions"] = in_onnxruntime(in_int8(path, samples), settings.threads)
