@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 from scipy.spatial import cKDTree
 
-from objectflow import geometry
 from objectflow.alignment.frame_pair import FramePair
 from objectflow.methods.labels import Objects, relabel_present
+from objectflow.methods.postprocess.joint_motion import ends_apart, joint_motion, match_sigma
 from objectflow.methods.postprocess.pair_likelihood import PairLikelihood
 from objectflow.methods.postprocess.settings import MergeSettings, PostprocessSettings
 from objectflow.motion import ObjectMotion
@@ -24,7 +24,8 @@ def merge_fragments(
     Each object, the smallest first, is merged into the neighbour with which the least likelihood is lost. Where the
     two motions agree within the noise of matches, they may explain their objects less well. Neighbours beyond a small
     gap or a step of depth, such as the handle of a cup, are merged if the motions agree or hardly anything is lost.
-    The common motion must explain each of them by itself.
+    The common motion must explain each of them by itself. Where no motion of a fragment explains its neighbour, one
+    that is registered to both may, also beyond a larger gap; see `joint_motion`.
     Two bodies that move as one cannot be told from one body; static objects are never merged.
 
     Args:
@@ -44,6 +45,7 @@ def merge_fragments(
     for number in sorted((obj.id for obj in objects if obj.moving), key=lambda number: left[number].pixels):
         small = left[number]
         found = _partner(likelihood, small_labels, small, left, samples, settings.merge)
+        found = found or _joint_partner(pair, likelihood, small_labels, small, left, samples, settings)
         if found is None:
             continue
         large, motion = found
@@ -92,7 +94,8 @@ def _partner(
             others = _sample(likelihood, theirs, number, samples, settings)
             if not _near(points, others, settings.max_gap_ratio):
                 continue
-        agree = _agree(likelihood, small, other, mask | theirs, settings)
+        union = likelihood.points[mask | theirs].astype(np.float64)
+        agree = ends_apart(union, (small, other)) < settings.agreement_sigmas * match_sigma(likelihood, union)
         limit = best if joined or agree else min(best, settings.max_apart_loss)
         max_cost = settings.max_cost * (settings.agreement_factor if agree and joined else 1.0)
         apart = own + likelihood.cost(other.prev_T_curr, theirs).sum()
@@ -106,6 +109,33 @@ def _partner(
             if lost < limit and together < max_cost * count:
                 best = limit = lost
                 out = other, motion
+    return out
+
+
+def _joint_partner(
+    pair: FramePair,
+    likelihood: PairLikelihood,
+    labels: LabelImage,
+    small: ObjectMotion,
+    objects: dict[int, ObjectMotion],
+    samples: dict[int, Float64Array],
+    settings: PostprocessSettings,
+) -> tuple[ObjectMotion, Float64Array] | None:
+    """`_partner` by a motion that is registered to both."""
+    joint, mask = settings.merge.joint, likelihood.mask(labels, small.id)
+    if mask.sum() < joint.min_pixels:
+        return None
+    best, out = np.inf, None
+    points = _sample(likelihood, mask, small.id, samples, settings.merge)
+    for number, other in objects.items():
+        theirs = likelihood.mask(labels, number)
+        if number == small.id or not other.moving or other.pixels < small.pixels or not theirs.any():
+            continue
+        if not _near(points, _sample(likelihood, theirs, number, samples, settings.merge), joint.max_gap_ratio):
+            continue
+        found = joint_motion(pair, likelihood, (small, other), (mask, theirs), settings)
+        if found is not None and found[1] < best:
+            best, out = found[1], (other, found[0])
     return out
 
 
@@ -131,15 +161,3 @@ def _near(points: Float64Array, others: Float64Array, max_gap_ratio: float) -> b
     if np.linalg.norm(np.maximum(apart, 0)) >= limit:
         return False
     return bool(np.min(cKDTree(others).query(points, distance_upper_bound=limit)[0]) < limit)
-
-
-def _agree(
-    likelihood: PairLikelihood, one: ObjectMotion, other: ObjectMotion, both: BoolMask, settings: MergeSettings
-) -> bool:
-    """Whether two motions carry the points of both objects to the same place within the noise of matches."""
-    points = likelihood.points[both].astype(np.float64)
-    ends = [geometry.transform(obj.prev_T_curr, points) for obj in (one, other)]
-    pair = likelihood.pair
-    sigma = pair.noise.match_sigma(np.median(points[:, 2:], axis=0).astype(np.float32), pair.curr.frame.camera)
-    distance = float(np.linalg.norm(ends[0] - ends[1], axis=1).mean())
-    return distance < settings.agreement_sigmas * float(sigma[0])

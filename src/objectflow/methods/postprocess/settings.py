@@ -178,6 +178,28 @@ class ColorSimilaritySettings(Settings):
 
 
 @dataclass(frozen=True)
+class JointMotionSettings(Settings):
+    """When a motion that is registered to two fragments makes them one body (`merge_fragments`)."""
+
+    min_pixels: int = setting(60, minimum=3)
+    """Fewest pixels of a fragment, at the width of the likelihood: many motions explain a few."""
+    max_gap_ratio: float = setting(0.3, minimum=0)
+    """Largest distance between the fragments, relative to the extent of the larger one."""
+    max_sigmas: float = setting(10.0, minimum=0)
+    """Standard deviations of a match: largest mean distance between the ends of the points of both fragments under
+    their two motions. Beyond it, nothing is registered."""
+    min_turn_sigmas: float = setting(0.7, minimum=0)
+    """Standard deviations of a match: smallest mean distance of the displacements of the points from their mean, by
+    which the motion is more than a shift."""
+    max_loss: float = setting(0.02, minimum=0)
+    """Largest mean loss of both."""
+    max_piece_loss: float = setting(0.2, minimum=0)
+    """Largest mean loss of either."""
+    max_piece_cost: float = setting(1.3, minimum=0)
+    """Largest mean cost of either, before and after."""
+
+
+@dataclass(frozen=True)
 class MergeSettings(Settings):
     """When fragments are one body (`merge_fragments`)."""
 
@@ -206,6 +228,8 @@ class MergeSettings(Settings):
     """The same of fragments that do not touch along a continuous surface; a pixel that was hidden costs 1 or more."""
     max_points: int = setting(300, minimum=3)
     """Maximum number of points of each fragment between which this distance is measured."""
+    joint: JointMotionSettings = JointMotionSettings()
+    """Fragments that neither motion explains, or that lie farther apart."""
 
 
 @dataclass(frozen=True)
