@@ -27,8 +27,8 @@ class LastState:
     age: int = 0
 
 
-class Again(NamedTuple):
-    """The track that an object is, its pose (4, 4) in the current frame, and whether its model confirms it."""
+class FoundAgain(NamedTuple):
+    """The track that an object is, its pose (4, 4) in the world, and whether its model confirms it."""
 
     number: int
     world_T_object: Float64Array

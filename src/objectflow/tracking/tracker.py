@@ -15,7 +15,7 @@ from objectflow import geometry
 from objectflow.errors import FrameError
 from objectflow.frame import RgbdFrame
 from objectflow.motion import ObjectMotion, SceneMotion
-from objectflow.tracking.association import Again, LastState, associate, continuation, similar_tracks
+from objectflow.tracking.association import FoundAgain, LastState, associate, continuation, similar_tracks
 from objectflow.tracking.evidence import Evidence
 from objectflow.tracking.seen_surface import SeenSurface, color_histogram, seen_surface
 from objectflow.tracking.track import Track, next_camera_pose
@@ -118,8 +118,9 @@ class Tracker:
                     self._add_piece(whole, geometry.transform(world_T_curr, surface.points))
                     found[obj.id] = whole
                     continue
-            left_out = {*links, *found.values()}
-            again = None if number is not None else self._again(obj, surface, curr, world_T_curr, evidence, left_out)
+            again = None
+            if number is None:
+                again = self._found_again(obj, surface, curr, world_T_curr, evidence, {*links, *found.values()})
             if again is not None:
                 track, pose = self._tracks[again.number], again.world_T_object
                 track.rest_until(prev_time)
@@ -285,7 +286,7 @@ class Tracker:
         if self.settings.history is not None:
             self._tracks = {}
 
-    def _again(
+    def _found_again(
         self,
         obj: ObjectMotion,
         surface: SeenSurface,
@@ -293,13 +294,13 @@ class Tracker:
         world_T_curr: Float64Array,
         evidence: Evidence | None,
         left_out: Collection[int | None],
-    ) -> Again | None:
+    ) -> FoundAgain | None:
         """The track that an object without an association is, found again by its model, or else by its place."""
         free = {number: state for number, state in self._states.items() if number not in left_out}
         if evidence is not None:
             known = evidence.recognises(obj, similar_tracks(surface, free, self.settings.min_color_similarity))
             if known is not None:
-                return Again(known[0], world_T_curr @ known[1], confirmed=True)
+                return FoundAgain(known[0], world_T_curr @ known[1], confirmed=True)
         curr_T_world = geometry.inverse(world_T_curr)
 
         def rests(number: int) -> bool:
@@ -309,9 +310,8 @@ class Tracker:
         step = continuation(surface, free, curr.camera, curr_T_world, rests, self.settings)
         if step is None:
             return None
-        number, world_step = step
-        pose = world_step @ self._tracks[number].world_T_object[-1]
-        return Again(number, geometry.nearest_rigid(pose), confirmed=False)
+        pose = step[1] @ self._tracks[step[0]].world_T_object[-1]
+        return FoundAgain(step[0], geometry.nearest_rigid(pose), confirmed=False)
 
     def _poses(
         self, number: int, obj: ObjectMotion, world_T_prev: Float64Array, world_T_curr: Float64Array
